@@ -1,0 +1,1 @@
+"""The browser app of photoreg. It imports photoreg, never the reverse."""

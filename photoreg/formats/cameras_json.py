@@ -1,0 +1,161 @@
+"""photoreg's own file of cameras.
+
+{"format": "photoreg-cameras", "version": 1, "cameras": [{"photo": "a.jpg",
+"width": W, "height": H, "K": [[fx, s, cx], [0, fy, cy], [0, 0, 1]], "R": [...],
+"t": [...]}]}: OpenCV axes, x_cam = R X + t, pixel (0, 0) is the centre of the first
+pixel, sizes as displayed. Unknown keys survive a round trip.
+"""
+
+import dataclasses
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from photoreg.camera import Camera
+from photoreg.checks import check_input_file, check_output_file
+from photoreg.errors import InputError, OutputError
+from photoreg.photo import Photo
+
+FORMAT = "photoreg-cameras"
+VERSION = 1
+_KEYS = ("photo", "width", "height", "K", "R", "t")
+
+
+@dataclasses.dataclass(frozen=True)
+class CameraFile:
+    """Cameras by photo name, in the file's order, and what else the file held."""
+
+    cameras: Mapping[str, Camera]
+    """Photo file name to camera."""
+    extra: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """Unknown keys of the file, kept."""
+    camera_extra: Mapping[str, Mapping[str, Any]] = dataclasses.field(
+        default_factory=dict
+    )
+    """Unknown keys of each camera, by photo name, kept."""
+
+    def of_photos(self, photos: Sequence[Photo]) -> list[Camera]:
+        """The camera of each photo, matched by file name, in the photos' order.
+
+        Raises:
+            InputError: if a photo has no camera here, or the sizes differ.
+        """
+        found = []
+        for photo in photos:
+            camera = self.cameras.get(photo.name)
+            if camera is None:
+                raise InputError(
+                    f"The camera file has no camera for {photo.name}; it has "
+                    f"{', '.join(self.cameras) or 'none at all'}. "
+                    "Photos are matched by file name."
+                )
+            if (camera.width, camera.height) != (photo.width, photo.height):
+                raise InputError(
+                    f"{photo.name} is {photo.width}x{photo.height} px, but its camera "
+                    f"is for {camera.width}x{camera.height} px."
+                )
+            found.append(camera)
+        return found
+
+    def with_cameras(self, cameras: Mapping[str, Camera]) -> "CameraFile":
+        """The same file with these cameras replaced or added."""
+        return dataclasses.replace(self, cameras={**self.cameras, **cameras})
+
+
+def load_cameras(path: Path | str) -> CameraFile:
+    """Reads a photoreg camera file.
+
+    Raises:
+        InputError: if the file is missing, is not JSON, is of another format or a
+            newer version, or a camera in it is not valid; the message names it.
+    """
+    path = check_input_file(Path(path), "camera file")
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        raise InputError(f"{path.name} is not a JSON file: {error}.") from error
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise InputError(
+            f'{path.name} is not a photoreg camera file: it should hold "format": '
+            f'"{FORMAT}".'
+        )
+    if document.get("version") != VERSION:
+        raise InputError(
+            f"{path.name} is version {document.get('version')} of the camera file; this "
+            f"photoreg reads version {VERSION}. Update photoreg."
+        )
+    entries = document.get("cameras")
+    if not isinstance(entries, list):
+        raise InputError(f'{path.name} should hold a list "cameras".')
+    cameras: dict[str, Camera] = {}
+    camera_extra: dict[str, dict[str, Any]] = {}
+    for number, entry in enumerate(entries, start=1):
+        name, camera = _parse_camera(entry, f"{path.name}, camera {number}")
+        if name in cameras:
+            raise InputError(f"{path.name} has two cameras for {name}.")
+        cameras[name] = camera
+        camera_extra[name] = {k: v for k, v in entry.items() if k not in _KEYS}
+    extra = {
+        k: v for k, v in document.items() if k not in ("format", "version", "cameras")
+    }
+    return CameraFile(cameras, extra, camera_extra)
+
+
+def _parse_camera(entry: object, where: str) -> tuple[str, Camera]:
+    if not isinstance(entry, dict):
+        raise InputError(f"{where} should be an object with {', '.join(_KEYS)}.")
+    missing = [key for key in _KEYS if key not in entry]
+    if missing:
+        raise InputError(f"{where} lacks {', '.join(missing)}.")
+    name, size = entry["photo"], (entry["width"], entry["height"])
+    if not isinstance(name, str) or not name:
+        raise InputError(f'{where}: "photo" should be a file name, but is {name!r}.')
+    if not all(type(side) is int and 0 < side < 1_000_000 for side in size):
+        raise InputError(
+            f"{where} ({name}): width and height should be positive whole numbers, but "
+            f"are {size[0]!r} and {size[1]!r}."
+        )
+    try:
+        return name, Camera(entry["K"], entry["R"], entry["t"], *size)
+    except InputError as error:
+        raise InputError(f"{where} ({name}): {error}") from error
+
+
+def dump_cameras(file: CameraFile) -> str:
+    """The file's text. Numbers are written with all digits (round trip exact)."""
+    entries = [
+        {
+            "photo": name,
+            "width": camera.width,
+            "height": camera.height,
+            "K": camera.K.tolist(),
+            "R": camera.R_cam_world.tolist(),
+            "t": camera.t_cam_world.tolist(),
+            **file.camera_extra.get(name, {}),
+        }
+        for name, camera in file.cameras.items()
+    ]
+    document = {
+        "format": FORMAT,
+        "version": VERSION,
+        **file.extra,
+        "cameras": entries,
+    }
+    return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
+
+
+def save_cameras(path: Path | str, file: CameraFile) -> None:
+    """Writes a photoreg camera file, whole or not at all.
+
+    Raises:
+        OutputError: if it cannot be written there.
+    """
+    path = check_output_file(Path(path), (".json",))
+    partial = path.with_name(path.name + ".part")
+    try:
+        partial.write_text(dump_cameras(file), encoding="utf-8")
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise OutputError(f"Cannot write {path}: {error.strerror or error}.") from error

@@ -1,0 +1,256 @@
+"""A triangle mesh: load, check, normals, decimate, cast rays.
+
+The only module that imports trimesh and embree.
+"""
+
+import dataclasses
+import functools
+from pathlib import Path
+from typing import Any
+
+import fast_simplification
+import numpy as np
+import trimesh
+import trimesh.visual
+from embreex import rtcore_scene
+from embreex.mesh_construction import TriangleMesh
+from jaxtyping import Bool, Float, Int
+
+from photoreg.checks import check_input_file, check_points
+from photoreg.errors import InputError
+
+MESH_SUFFIXES = (".obj", ".ply", ".stl", ".glb", ".off")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Mesh:
+    """A triangle mesh in world axes; frozen, so what is derived from it is cached.
+
+    Raises:
+        InputError: at construction, if there are no faces, a vertex is not finite,
+            a face names a vertex that does not exist, or all faces have no area.
+    """
+
+    vertices: Float[np.ndarray, "n 3"]
+    """Vertex positions in model units, as in the file."""
+    faces: Int[np.ndarray, "m 3"]
+    """Vertex indices of each triangle, counter-clockwise seen from outside."""
+    uv: Float[np.ndarray, "n 2"] | None = None
+    """The mesh's own texture coordinates (v upwards), if the file had them."""
+    name: str = "mesh"
+    """File name, for messages."""
+
+    def __post_init__(self) -> None:
+        if len(self.vertices) == 0:
+            raise InputError(f"{self.name} has no vertices.")
+        vertices = check_points(self.vertices, f"{self.name}: the vertex list")
+        faces = np.asarray(self.faces)
+        if faces.ndim != 2 or faces.shape[1] != 3 or len(faces) == 0:
+            raise InputError(
+                f"{self.name} has no triangles ({len(vertices)} vertices only); "
+                "photographs need a surface. Triangulate the point cloud first."
+            )
+        if faces.min() < 0 or faces.max() >= len(vertices):
+            raise InputError(
+                f"{self.name} has faces that name vertex {faces.max()}, but only "
+                f"vertices 0 to {len(vertices) - 1} exist."
+            )
+        faces = np.ascontiguousarray(faces, dtype=np.int32)
+        vertices.flags.writeable = False
+        faces.flags.writeable = False
+        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "faces", faces)
+        if not self.area > 0.0:  # NaN would be refused too.
+            raise InputError(
+                f"{self.name} has no surface: all {len(faces)} triangles have zero area."
+            )
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Cached properties hold embree's scene, which cannot be pickled.
+        names = [field.name for field in dataclasses.fields(self)]
+        return {name: self.__dict__[name] for name in names}
+
+    @functools.cached_property
+    def _face_cross(self) -> Float[np.ndarray, "m 3"]:
+        a, b, c = (self.vertices[self.faces[:, i]] for i in range(3))
+        return np.cross(b - a, c - a)
+
+    @functools.cached_property
+    def face_areas(self) -> Float[np.ndarray, "m"]:
+        """Triangle areas in squared model units."""
+        return 0.5 * np.linalg.norm(self._face_cross, axis=1)
+
+    @functools.cached_property
+    def face_normals(self) -> Float[np.ndarray, "m 3"]:
+        """Unit outward normals; zero for a triangle without area."""
+        return _unit_rows(self._face_cross)
+
+    @functools.cached_property
+    def position_index(self) -> Int[np.ndarray, "n"]:
+        """For each vertex the first vertex at the same position.
+
+        Files with texture coordinates repeat a vertex along seams; the surface is
+        one there all the same.
+        """
+        _, first, inverse = np.unique(
+            self.vertices, axis=0, return_index=True, return_inverse=True
+        )
+        return first[inverse.ravel()]
+
+    @functools.cached_property
+    def vertex_normals(self) -> Float[np.ndarray, "n 3"]:
+        """Area-weighted unit normals, smooth across texture seams."""
+        corners = self.position_index[self.faces]
+        sums = np.column_stack(
+            [
+                np.bincount(
+                    corners.ravel(),
+                    weights=np.repeat(self._face_cross[:, axis], 3),
+                    minlength=len(self.vertices),
+                )
+                for axis in range(3)
+            ]
+        )
+        return _unit_rows(sums)[self.position_index]
+
+    @functools.cached_property
+    def area(self) -> float:
+        """Surface area in squared model units."""
+        return float(self.face_areas.sum())
+
+    @functools.cached_property
+    def centroid(self) -> Float[np.ndarray, "3"]:
+        """Centroid of the surface (area-weighted)."""
+        centers = self.vertices[self.faces].mean(axis=1)
+        return self.face_areas @ centers / self.area
+
+    @functools.cached_property
+    def bounds(self) -> Float[np.ndarray, "2 3"]:
+        """Lowest and highest corner of the box around the used vertices."""
+        used = self.vertices[np.unique(self.faces)]
+        return np.stack([used.min(axis=0), used.max(axis=0)])
+
+    @functools.cached_property
+    def diagonal(self) -> float:
+        """Diagonal of the box around the mesh: the measure of all tolerances."""
+        return float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
+
+    @functools.cached_property
+    def _ray_frame(self) -> tuple[Any, np.ndarray, float]:
+        # Embree works in float32: centre and scale the mesh to O(1) for it.
+        origin, scale = self.bounds.mean(axis=0), 2.0 / self.diagonal
+        corners = (self.vertices[self.faces] - origin) * scale
+        scene = rtcore_scene.EmbreeScene(robust=True)  # pyright: ignore[reportAttributeAccessIssue]
+        TriangleMesh(scene, np.ascontiguousarray(corners, dtype=np.float32))
+        return scene, origin, scale
+
+    def first_hits(
+        self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
+    ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Casts rays; returns the face met first (-1: none) and its distance.
+
+        Distances are in units of each direction's length; infinity where nothing
+        is hit. Precision is float32 relative to the mesh's diagonal, about 1e-6.
+        """
+        scene, origin, scale = self._ray_frame
+        lengths = np.linalg.norm(directions, axis=1)
+        result = scene.run(
+            np.ascontiguousarray((origins - origin) * scale, dtype=np.float32),
+            np.ascontiguousarray(directions / lengths[:, None], dtype=np.float32),
+            output=1,
+        )
+        face = result["primID"]
+        distance = result["tfar"].astype(np.float64) / (scale * lengths)
+        distance[face < 0] = np.inf
+        return face, distance
+
+    def is_unoccluded(
+        self,
+        points: Float[np.ndarray, "n 3"],
+        viewpoint: Float[np.ndarray, "3"],
+        tolerance: float = 1e-3,
+    ) -> Bool[np.ndarray, "n"]:
+        """Whether the segment from each surface point to ``viewpoint`` is free.
+
+        The ray runs from the viewpoint to the point, short of it by ``tolerance``
+        times the mesh's diagonal, so the point's own face does not hide it.
+        """
+        scene, origin, scale = self._ray_frame
+        start = (np.asarray(viewpoint) - origin) * scale
+        rays = (points - origin) * scale - start
+        lengths = np.linalg.norm(rays, axis=1)
+        reach = np.maximum(lengths - 2.0 * tolerance, 0.0)
+        hit = scene.run(
+            np.ascontiguousarray(np.broadcast_to(start, rays.shape), dtype=np.float32),
+            np.ascontiguousarray(rays / lengths[:, None], dtype=np.float32),
+            dists=reach.astype(np.float32),
+            query="OCCLUDED",
+        )
+        return hit < 0
+
+    def decimated(self, n_faces: int) -> "Mesh":
+        """A coarser mesh of about ``n_faces`` faces for display; itself if small enough."""
+        if len(self.faces) <= n_faces:
+            return self
+        vertices, faces = fast_simplification.simplify(
+            self.vertices, self.position_index[self.faces], target_count=n_faces
+        )[:2]
+        return Mesh(vertices, faces, name=self.name)
+
+    def save(self, path: Path) -> None:
+        """Writes geometry and texture coordinates, in the format of the suffix."""
+        visual = None
+        if self.uv is not None:
+            visual = trimesh.visual.TextureVisuals(uv=self.uv)
+        trimesh.Trimesh(
+            self.vertices, self.faces, visual=visual, process=False, validate=False
+        ).export(path)
+
+
+def load_mesh(path: Path | str) -> Mesh:
+    """Loads OBJ, PLY, STL, GLB or OFF; units, axes and vertex order are untouched.
+
+    Raises:
+        InputError: if the file is missing, empty, unreadable, of another kind, or
+            holds no usable surface.
+    """
+    path = check_input_file(Path(path), "mesh")
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise InputError(
+            f"{path.name} is not a mesh file photoreg reads: the suffix should be one "
+            f"of {', '.join(MESH_SUFFIXES)}."
+        )
+    try:
+        loaded = trimesh.load(path, process=False, force="mesh", maintain_order=True)
+    except MemoryError:
+        raise
+    except Exception as error:
+        raise InputError(
+            f"{path.name} could not be read as a {path.suffix[1:].upper()} mesh: "
+            f"{_first_line(error)} Is the file complete?"
+        ) from error
+    if not isinstance(loaded, trimesh.Trimesh):
+        count = len(getattr(loaded, "vertices", ()))
+        raise InputError(
+            f"{path.name} has no triangles ({count} vertices only); photographs need "
+            "a surface. Triangulate the point cloud first."
+        )
+    vertices, faces = np.asarray(loaded.vertices), np.asarray(loaded.faces)
+    if path.suffix.lower() == ".stl":
+        # An STL repeats each corner; the same position is the same vertex.
+        vertices, index = np.unique(vertices, axis=0, return_inverse=True)
+        faces = index.reshape(-1)[faces]
+    uv = getattr(loaded.visual, "uv", None)
+    if uv is not None and np.shape(uv) != (len(vertices), 2):
+        uv = None
+    return Mesh(vertices, faces, uv=uv, name=path.name)
+
+
+def _unit_rows(rows: np.ndarray) -> np.ndarray:
+    lengths = np.linalg.norm(rows, axis=1, keepdims=True)
+    return rows / np.where(lengths > 0.0, lengths, 1.0)
+
+
+def _first_line(error: Exception) -> str:
+    text = str(error).strip().splitlines()
+    return (text[0].rstrip(".") if text else type(error).__name__) + "."

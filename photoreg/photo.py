@@ -1,0 +1,151 @@
+"""A photograph: pixels as displayed, optional mask, and what EXIF knows of the lens."""
+
+import dataclasses
+import warnings
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, UInt8
+from PIL import ExifTags, Image, ImageOps
+
+from photoreg.checks import check_input_file
+from photoreg.errors import InputError
+
+PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
+MIN_SIDE_PX = 16
+MAX_PIXELS = 120_000_000
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Photo:
+    """A photograph as displayed: EXIF orientation is already applied.
+
+    Raises:
+        InputError: at construction, if the pixels are not (h, w, 3) bytes, the
+            photo is smaller than 16 px on a side, or the mask has another size.
+    """
+
+    name: str
+    """File name; cameras are matched to photos by it."""
+    pixels: UInt8[np.ndarray, "h w 3"]
+    """sRGB, row 0 at the top."""
+    mask: Bool[np.ndarray, "h w"] | None = None
+    """True where the photo counts; None: everywhere."""
+    exif_focal_px: float | None = None
+    """Focal length in pixels by EXIF, a starting value; None if EXIF does not tell."""
+
+    def __post_init__(self) -> None:
+        pixels = self.pixels
+        if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.dtype != np.uint8:
+            raise InputError(
+                f"{self.name}: pixels should be (height, width, 3) bytes, but are "
+                f"{pixels.shape} {pixels.dtype}."
+            )
+        if min(pixels.shape[:2]) < MIN_SIDE_PX:
+            raise InputError(
+                f"{self.name} is {self.width}x{self.height} px; a photo should be at "
+                f"least {MIN_SIDE_PX} px on each side."
+            )
+        if self.mask is not None and self.mask.shape != pixels.shape[:2]:
+            raise InputError(
+                f"{self.name}: the mask is {self.mask.shape[1]}x{self.mask.shape[0]} px, "
+                f"but the photo is {self.width}x{self.height} px."
+            )
+
+    @property
+    def width(self) -> int:
+        """Width in pixels, as displayed."""
+        return self.pixels.shape[1]
+
+    @property
+    def height(self) -> int:
+        """Height in pixels, as displayed."""
+        return self.pixels.shape[0]
+
+    def resized(self, max_side_px: int) -> "Photo":
+        """The photo reduced (area-averaged) so that no side exceeds ``max_side_px``."""
+        scale = max_side_px / max(self.width, self.height)
+        if scale >= 1.0:
+            return self
+        size = (max(1, round(self.width * scale)), max(1, round(self.height * scale)))
+        mask = self.mask
+        if mask is not None:
+            mask = (
+                cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+                > 0
+            )
+        return dataclasses.replace(
+            self,
+            pixels=cv2.resize(self.pixels, size, interpolation=cv2.INTER_AREA),
+            mask=mask,
+            exif_focal_px=None
+            if self.exif_focal_px is None
+            else self.exif_focal_px * size[0] / self.width,
+        )
+
+
+def load_photo(path: Path | str) -> Photo:
+    """Loads a JPEG, PNG or TIFF; applies EXIF orientation; alpha becomes the mask.
+
+    Raises:
+        InputError: if the file is missing, empty, not a picture, truncated, too
+            small (under 16 px a side) or too large (over 120 megapixels).
+    """
+    path = check_input_file(Path(path), "photo")
+    try:
+        with warnings.catch_warnings():
+            # Size is checked below, with our own limit and sentence.
+            warnings.simplefilter("ignore")
+            with Image.open(path, formats=("JPEG", "PNG", "TIFF")) as image:
+                if image.width * image.height > MAX_PIXELS:
+                    raise InputError(
+                        f"{path.name} has {image.width}x{image.height} pixels; the limit "
+                        f"is {MAX_PIXELS // 1_000_000} megapixels. Reduce it first."
+                    )
+                focal_px = _exif_focal_px(image)
+                upright = ImageOps.exif_transpose(image)
+                return Photo(
+                    path.name, _srgb_bytes(upright), _alpha_mask(upright), focal_px
+                )
+    except (InputError, MemoryError):
+        raise
+    except Image.DecompressionBombError as error:
+        raise InputError(
+            f"{path.name} has too many pixels; the limit is "
+            f"{MAX_PIXELS // 1_000_000} megapixels. Reduce it first."
+        ) from error
+    except Exception as error:
+        raise InputError(
+            f"{path.name} could not be read as a JPEG, PNG or TIFF photo. "
+            "Is it a picture, and complete?"
+        ) from error
+
+
+def _srgb_bytes(image: Image.Image) -> np.ndarray:
+    if image.mode.startswith("I") or image.mode == "F":
+        # 16-bit grey: Pillow's own conversion would clip, not scale.
+        grey = np.asarray(image, dtype=np.float64)
+        top = 65535.0 if grey.max() > 255.0 else 255.0
+        grey_bytes = np.clip(np.rint(grey / top * 255.0), 0, 255).astype(np.uint8)
+        return np.repeat(grey_bytes[:, :, None], 3, axis=2)
+    return np.array(image.convert("RGB"), dtype=np.uint8)
+
+
+def _alpha_mask(image: Image.Image) -> np.ndarray | None:
+    if "A" not in image.getbands() and "transparency" not in image.info:
+        return None
+    mask = np.asarray(image.convert("RGBA"))[:, :, 3] >= 128
+    return None if mask.all() else mask
+
+
+def _exif_focal_px(image: Image.Image) -> float | None:
+    """Focal length in pixels from the 35 mm equivalent (diagonal 43.27 mm)."""
+    try:
+        lens = image.getexif().get_ifd(ExifTags.IFD.Exif)
+        focal_35mm = float(lens.get(ExifTags.Base.FocalLengthIn35mmFilm, 0) or 0)
+    except Exception:  # noqa: BLE001 - broken EXIF is common, and only a hint.
+        return None
+    if not 5.0 <= focal_35mm <= 2000.0:
+        return None
+    return focal_35mm / float(np.hypot(36.0, 24.0)) * float(np.hypot(*image.size))
