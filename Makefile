@@ -1,0 +1,61 @@
+# photoreg: `make run` starts the app; `make` lists the rest.
+# Needs only make and Python >= 3.11; everything else goes into .venv.
+
+PYTHON ?= python3
+BIN := .venv/bin
+DATA ?=
+
+.DEFAULT_GOAL := help
+.PHONY: help run test test-slow check format bench screenshots clean
+
+help: ## List the targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+run: .venv/.stamp-app ## Start the app on 127.0.0.1:8080 with the demo open
+	@$(BIN)/photoreg
+
+test: .venv/.stamp-dev ## Run all tests that are not marked slow, the browser's included
+	@$(BIN)/python tests/browser/ensure_chromium.py
+	$(BIN)/pytest -n 2
+
+test-slow: .venv/.stamp-dev ## Run the tests marked slow (minutes)
+	@$(BIN)/python tests/browser/ensure_chromium.py
+	$(BIN)/pytest -m slow
+
+check: .venv/.stamp-dev ## Lint, formatting, types, import layers
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+	$(BIN)/lint-imports --no-logo
+
+format: .venv/.stamp-dev ## Format the code and mend what ruff can
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: .venv/.stamp-dev ## Measure speed and accuracy; DATA=folder adds real sets
+	$(BIN)/python -m tests.bench $(if $(DATA),--data $(DATA))
+
+screenshots: .venv/.stamp-dev ## Take the README's pictures from the running app
+	@$(BIN)/python tests/browser/ensure_chromium.py
+	$(BIN)/python -m tests.screenshots
+
+clean: ## Remove the environment and what tools left behind
+	rm -rf .venv build dist .pytest_cache .ruff_cache .hypothesis
+	find photoreg app tests -name __pycache__ -prune -exec rm -rf {} +
+
+.venv/.stamp-venv:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "photoreg needs Python 3.11 or newer; this is $$($(PYTHON) --version 2>&1). Try: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 2; }
+	@$(PYTHON) -m venv .venv || \
+	  { echo "Python could not make a virtual environment. On Debian or Ubuntu: apt install python3-venv"; exit 2; }
+	@touch $@
+
+.venv/.stamp-app: .venv/.stamp-venv pyproject.toml
+	@echo "Installing photoreg into .venv (once; about a minute) ..."
+	@$(BIN)/pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+.venv/.stamp-dev: .venv/.stamp-app pyproject.toml
+	@echo "Installing the test tools into .venv (once) ..."
+	@$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
