@@ -11,7 +11,6 @@ from typing import Any
 import fast_simplification
 import numpy as np
 import trimesh
-import trimesh.visual
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
 from jaxtyping import Bool, Float, Int
@@ -35,8 +34,9 @@ class Mesh:
     """Vertex positions in model units, as in the file."""
     faces: Int[np.ndarray, "m 3"]
     """Vertex indices of each triangle, counter-clockwise seen from outside."""
-    uv: Float[np.ndarray, "n 2"] | None = None
-    """The mesh's own texture coordinates (v upwards), if the file had them."""
+    corner_uv: Float[np.ndarray, "m 3 2"] | None = None
+    """The mesh's own texture coordinates of each face's corners (v upwards), if the
+    file had them. By corner, because along a seam one vertex has several."""
     name: str = "mesh"
     """File name, for messages."""
 
@@ -193,17 +193,17 @@ class Mesh:
         if len(self.faces) <= n_faces:
             return self
         vertices, faces = fast_simplification.simplify(
-            self.vertices, self.position_index[self.faces], target_count=n_faces
+            # A writable copy: the compiled code refuses a read-only array.
+            self.vertices.copy(),
+            self.position_index[self.faces],
+            target_count=n_faces,
         )[:2]
         return Mesh(vertices, faces, name=self.name)
 
     def save(self, path: Path) -> None:
-        """Writes geometry and texture coordinates, in the format of the suffix."""
-        visual = None
-        if self.uv is not None:
-            visual = trimesh.visual.TextureVisuals(uv=self.uv)
+        """Writes vertices and faces, in the format of the suffix."""
         trimesh.Trimesh(
-            self.vertices, self.faces, visual=visual, process=False, validate=False
+            self.vertices, self.faces, process=False, validate=False
         ).export(path)
 
 
@@ -220,8 +220,28 @@ def load_mesh(path: Path | str) -> Mesh:
             f"{path.name} is not a mesh file photoreg reads: the suffix should be one "
             f"of {', '.join(MESH_SUFFIXES)}."
         )
+    loaded = _read(path)
+    vertices, faces = np.asarray(loaded.vertices), np.asarray(loaded.faces)
+    corner_uv = _corner_uv(loaded)
+    if path.suffix.lower() == ".obj" and corner_uv is not None:
+        # Kept in the file's order, a vertex has one texture coordinate even where the
+        # file gives it several; only split by coordinate are the corners right.
+        split = _read(path, maintain_order=False)
+        corner_uv = None
+        if np.array_equal(split.vertices[split.faces], vertices[faces]):
+            corner_uv = _corner_uv(split)
+    if path.suffix.lower() == ".stl":
+        # An STL repeats each corner; the same position is the same vertex.
+        vertices, index = np.unique(vertices, axis=0, return_inverse=True)
+        faces = index.reshape(-1)[faces]
+    return Mesh(vertices, faces, corner_uv=corner_uv, name=path.name)
+
+
+def _read(path: Path, maintain_order: bool = True) -> trimesh.Trimesh:
     try:
-        loaded = trimesh.load(path, process=False, force="mesh", maintain_order=True)
+        loaded = trimesh.load(path, process=False, maintain_order=maintain_order)
+        if isinstance(loaded, trimesh.Scene):
+            loaded = loaded.to_mesh()
     except MemoryError:
         raise
     except Exception as error:
@@ -229,21 +249,20 @@ def load_mesh(path: Path | str) -> Mesh:
             f"{path.name} could not be read as a {path.suffix[1:].upper()} mesh: "
             f"{_first_line(error)} Is the file complete?"
         ) from error
-    if not isinstance(loaded, trimesh.Trimesh):
+    if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
         count = len(getattr(loaded, "vertices", ()))
         raise InputError(
             f"{path.name} has no triangles ({count} vertices only); photographs need "
             "a surface. Triangulate the point cloud first."
         )
-    vertices, faces = np.asarray(loaded.vertices), np.asarray(loaded.faces)
-    if path.suffix.lower() == ".stl":
-        # An STL repeats each corner; the same position is the same vertex.
-        vertices, index = np.unique(vertices, axis=0, return_inverse=True)
-        faces = index.reshape(-1)[faces]
+    return loaded
+
+
+def _corner_uv(loaded: trimesh.Trimesh) -> np.ndarray | None:
     uv = getattr(loaded.visual, "uv", None)
-    if uv is not None and np.shape(uv) != (len(vertices), 2):
-        uv = None
-    return Mesh(vertices, faces, uv=uv, name=path.name)
+    if uv is None or np.shape(uv) != (len(loaded.vertices), 2):
+        return None
+    return np.asarray(uv, dtype=np.float64)[loaded.faces]
 
 
 def _unit_rows(rows: np.ndarray) -> np.ndarray:

@@ -1,0 +1,147 @@
+import pickle
+
+import numpy as np
+import pytest
+import trimesh
+
+from photoreg.errors import InputError
+from photoreg.mesh import MESH_SUFFIXES, Mesh, load_mesh
+
+
+@pytest.fixture(scope="module")
+def sphere() -> Mesh:
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=2.0)
+    return Mesh(ball.vertices + np.array([10.0, -4.0, 3.0]), ball.faces)
+
+
+def tetrahedron(folder, suffix=".ply"):
+    path = folder / f"mesh{suffix}"
+    corners = [[0.0, 0, 0], [1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]]
+    faces = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+    trimesh.Trimesh(corners, faces, process=False).export(path)
+    return path
+
+
+def test_normals_point_outwards_and_vertex_normals_are_radial(sphere):
+    radial = sphere.vertices - [10.0, -4.0, 3.0]
+    radial /= np.linalg.norm(radial, axis=1, keepdims=True)
+    assert (sphere.vertex_normals * radial).sum(axis=1).min() > 0.999
+
+
+def test_area_and_centroid_of_a_sphere(sphere):
+    assert sphere.area == pytest.approx(4 * np.pi * 4, rel=3e-3)
+    assert sphere.centroid == pytest.approx([10.0, -4.0, 3.0], abs=1e-9)
+    assert sphere.diagonal == pytest.approx(4 * np.sqrt(3), rel=1e-9)
+
+
+def test_first_hits_meets_the_near_side_at_the_right_distance(sphere):
+    origins = np.array([[10.0, -4.0, 13.0], [10.0, -4.0, 13.0]])
+    directions = np.array([[0.0, 0.0, -2.0], [0.0, 0.0, 2.0]])
+    face, distance = sphere.first_hits(origins, directions)
+    # Distances are counted in lengths of the direction: 8 units at length 2 is 4.
+    assert distance[0] == pytest.approx(4.0, abs=2e-3)
+    assert sphere.face_normals[face[0], 2] > 0.99
+    assert face[1] == -1
+    assert np.isinf(distance[1])
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_the_far_side_is_occluded_in_any_unit(sphere, unit):
+    mesh = Mesh(sphere.vertices * unit, sphere.faces)
+    viewpoint = np.array([10.0, -4.0, 103.0]) * unit
+    seen = mesh.is_unoccluded(mesh.vertices, viewpoint)
+    to_eye = viewpoint - mesh.vertices
+    cosine = (mesh.vertex_normals * to_eye).sum(axis=1) / np.linalg.norm(to_eye, axis=1)
+    assert seen[cosine > 0.05].all()
+    assert not seen[cosine < -0.05].any()
+
+
+@pytest.mark.parametrize("suffix", MESH_SUFFIXES)
+def test_every_format_gives_the_same_surface(tmp_path, suffix):
+    mesh = load_mesh(tetrahedron(tmp_path, suffix))
+    assert len(mesh.vertices) == 4
+    assert len(mesh.faces) == 4
+    assert mesh.area == pytest.approx(1.5 + np.sqrt(3) / 2, rel=1e-6)
+    assert mesh.centroid @ np.ones(3) > 0
+    outwards = mesh.face_normals @ np.ones(3)
+    assert np.sort(outwards) == pytest.approx([-1, -1, -1, np.sqrt(3)], abs=1e-6)
+
+
+def test_vertex_order_and_coordinates_survive_loading(tmp_path):
+    path = tmp_path / "mesh.obj"
+    path.write_text(
+        "v 100 0 0\nv 7 7 7\nv 101 0 0\nv 100 1 0\nv 100 0 1\n"
+        "f 1 3 4\nf 1 4 5\nf 1 5 3\nf 3 5 4\n"
+    )
+    mesh = load_mesh(path)
+    expected = [[100, 0, 0], [7, 7, 7], [101, 0, 0], [100, 1, 0], [100, 0, 1]]
+    assert mesh.vertices.tolist() == expected
+    # A vertex that no face uses stretches nothing.
+    assert mesh.bounds.tolist() == [[100, 0, 0], [101, 1, 1]]
+
+
+def test_texture_coordinates_are_kept_by_corner_along_a_seam(tmp_path):
+    path = tmp_path / "seam.obj"
+    path.write_text(
+        "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 1\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvt .5 .5\n"
+        "f 1/1 2/2 3/3\nf 1/5 3/4 4/1\n"
+    )
+    mesh = load_mesh(path)
+    assert len(mesh.vertices) == 4
+    expected = [[[0, 0], [1, 0], [1, 1]], [[0.5, 0.5], [0, 1], [0, 0]]]
+    assert mesh.corner_uv is not None
+    assert mesh.corner_uv.tolist() == expected
+
+
+def test_normals_are_smooth_where_a_file_repeats_a_vertex():
+    vertices = np.array(
+        [[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 0], [1, 1, 0], [0, 1, 1]]
+    )
+    mesh = Mesh(vertices, np.array([[0, 1, 2], [3, 4, 5]]))
+    assert mesh.position_index.tolist() == [0, 1, 2, 0, 2, 5]
+    assert np.array_equal(mesh.vertex_normals, mesh.vertex_normals[mesh.position_index])
+    assert not np.array_equal(mesh.vertex_normals[0], mesh.face_normals[0])
+
+
+def test_a_pickled_mesh_is_the_same_mesh(sphere):
+    sphere.first_hits(np.zeros((1, 3)), np.ones((1, 3)))
+    back = pickle.loads(pickle.dumps(sphere))
+    assert np.array_equal(back.vertices, sphere.vertices)
+    assert back.area == sphere.area
+
+
+def test_decimated_keeps_the_shape_and_never_adds_faces(sphere):
+    coarse = sphere.decimated(600)
+    assert len(coarse.faces) <= 600
+    assert coarse.area == pytest.approx(sphere.area, rel=0.02)
+    assert sphere.decimated(10**6) is sphere
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("empty.ply", b"", "empty"),
+        ("no-faces.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "no triangles"),
+        ("nan.obj", b"v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),
+        ("flat.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "zero area"),
+        ("text.ply", b"this is not a mesh at all\n", "could not be read"),
+        ("text.glb", b"this is not a mesh at all\n", "could not be read"),
+        ("mesh.docx", b"whatever", "suffix"),
+    ],
+)
+def test_an_unusable_mesh_is_refused_in_words(tmp_path, name, content, words):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=words) as caught:
+        load_mesh(path)
+    assert name in str(caught.value)
+
+
+def test_a_missing_mesh_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"shell\.ply does not exist"):
+        load_mesh(tmp_path / "shell.ply")
+
+
+def test_faces_that_name_missing_vertices_are_refused():
+    with pytest.raises(InputError, match="vertex 9"):
+        Mesh(np.eye(3), np.array([[0, 1, 9]]))
