@@ -364,9 +364,8 @@ def _carry_pixels(  # noqa: ANN202 - a kernel takes bare arrays.
                     continue
                 inverse = ax * jx + ay * jy + aw
                 allowed = RING_TOLERANCE * tolerance if ring else tolerance
-                if inverse <= 0.0 or not (
-                    abs(depth_from[jy, jx] - 1.0 / inverse) <= allowed
-                ):
+                # |depth - 1 / inverse| <= allowed; fails where inverse is negative.
+                if not (abs(depth_from[jy, jx] * inverse - 1.0) <= allowed * inverse):
                     truly = False
                     break
                 if masked and not ring and not mask_from[jy, jx]:
