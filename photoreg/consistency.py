@@ -1,0 +1,224 @@
+"""Photo-consistency: how well photos agree on the surface, as a function of cameras."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Literal
+
+import cv2
+import numba as nb
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+
+from photoreg.camera import Camera
+from photoreg.colour import ColourSpace, convert
+from photoreg.errors import InputError
+from photoreg.genes import GeneMap, Poses
+from photoreg.kernels import population_costs
+from photoreg.photo import Photo
+from photoreg.sampling import SurfaceSamples
+
+CostName = Literal["ssd", "trimmed_squares", "alpha_trimmed", "variance", "mncc"]
+
+
+@dataclasses.dataclass(frozen=True)
+class ConsistencyConfig:
+    """How two or more photos of a surface are compared."""
+
+    colour: ColourSpace = "luv"
+    """Colour space of the differences: rgb, xyz, hsi, luv or lab; each on a scale of
+    about 100."""
+    cost: CostName = "alpha_trimmed"
+    """ssd: mean of squared differences (the paper's eq. 1). trimmed_squares: without
+    the largest share alpha. alpha_trimmed: without the share alpha at either end.
+    variance: mean variance of a point's colours. mncc: 1 - modified normalised
+    cross-correlation of small patches carried over the surface."""
+    alpha: float = 0.2
+    """Share of the points trimmed, in [0, 0.5). 0.2 tolerates a highlight over a fifth
+    of what is seen."""
+    exposure: bool = True
+    """Whether gain and offset of each colour channel may differ between photos; solved
+    in closed form for each individual."""
+    min_cosine: float = 0.5
+    """A camera sees a point if the cosine between its normal and the direction to the
+    camera is at least this, in [0, 1). 0.5 is 60 degrees."""
+    min_share: float = 0.5
+    """Cameras that see fewer points in common than this share of what the start sees
+    get an infinite cost, in [0, 1]. 0: no limit."""
+    max_side_px: int = 1600
+    """Photos are reduced to this longer side, in pixels, at least 16."""
+    blur_px: float = 0.0
+    """Sigma of a Gaussian blur of the reduced photos, in their pixels, 0 or more."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.alpha < 0.5:
+            raise InputError(f"alpha is {self.alpha}; give a share in [0, 0.5).")
+        if not 0.0 <= self.min_cosine < 1.0:
+            raise InputError(
+                f"min_cosine is {self.min_cosine}; give a cosine in [0, 1)."
+            )
+        if not 0.0 <= self.min_share <= 1.0:
+            raise InputError(f"min_share is {self.min_share}; give a share in [0, 1].")
+        if self.max_side_px < 16:
+            raise InputError(f"max_side_px is {self.max_side_px}; give at least 16.")
+        if not 0.0 <= self.blur_px < np.inf:
+            raise InputError(f"blur_px is {self.blur_px}; give 0 or more.")
+
+    @property
+    def trimmed_shares(self) -> tuple[float, float]:
+        """Shares dropped at the low and at the high end."""
+        high = self.alpha if self.cost in ("trimmed_squares", "alpha_trimmed") else 0.0
+        return (self.alpha if self.cost == "alpha_trimmed" else 0.0), high
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PhotoStack:
+    """Photos reduced, in a colour space, blurred, one after the other in memory."""
+
+    pixels: Float32[np.ndarray, "total 4"]
+    """Three colour channels and validity (1 inside the mask, 0 outside)."""
+    layouts: np.ndarray
+    """(m, 3) int64: first row in ``pixels``, width and height of each photo."""
+    full_sizes: np.ndarray
+    """(m, 2) width and height of the photos as given."""
+    has_mask: bool
+    """Whether any pixel is invalid."""
+
+
+def stack_photos(photos: Sequence[Photo], config: ConsistencyConfig) -> PhotoStack:
+    """Prepares photos for sampling; the full photos are never copied as floats."""
+    parts, layouts, offset = [], [], 0
+    for photo in photos:
+        small = photo.resized(config.max_side_px)
+        colours = convert(small.pixels, config.colour)
+        valid = np.ones(colours.shape[:2], dtype=np.float32)
+        if small.mask is not None:
+            valid = small.mask.astype(np.float32)
+        if config.blur_px > 0.0:
+            colours = _blur_inside(colours, valid, config.blur_px)
+        parts.append(np.dstack([colours, valid]).reshape(-1, 4))
+        layouts.append((offset, small.width, small.height))
+        offset += small.width * small.height
+    return PhotoStack(
+        np.concatenate(parts),
+        np.array(layouts, dtype=np.int64),
+        np.array([[photo.width, photo.height] for photo in photos]),
+        any(photo.mask is not None for photo in photos),
+    )
+
+
+def _blur_inside(colours: np.ndarray, valid: np.ndarray, sigma_px: float) -> np.ndarray:
+    """Gaussian blur that takes nothing in from outside the mask."""
+    if valid.all():
+        return cv2.GaussianBlur(colours, (0, 0), sigma_px)
+    weight = cv2.GaussianBlur(valid, (0, 0), sigma_px)
+    blurred = cv2.GaussianBlur(colours * valid[..., None], (0, 0), sigma_px)
+    return blurred / np.maximum(weight, np.float32(1e-6))[..., None]
+
+
+class PhotoConsistency:
+    """The cost of cameras: samples, photos, colour space and reducer, bound together."""
+
+    def __init__(
+        self,
+        samples: SurfaceSamples,
+        photos: Sequence[Photo],
+        config: ConsistencyConfig | None = None,
+        allowed: Bool[np.ndarray, "m n"] | None = None,
+    ) -> None:
+        """``allowed``: samples each photo may show (the others are known hidden).
+
+        Raises:
+            InputError: with fewer than two photos.
+        """
+        if len(photos) < 2:
+            raise InputError(
+                f"Photo-consistency compares photos, but there is {len(photos)}; give "
+                "at least two."
+            )
+        self.config = ConsistencyConfig() if config is None else config
+        self.samples = samples
+        self.stack = stack_photos(photos, self.config)
+        # The kernel works in float32: centre and scale the world to O(1) for it.
+        self._origin = samples.points.mean(axis=0)
+        self._scale = float(np.abs(samples.points - self._origin).max()) or 1.0
+        scaled = (samples.points - self._origin) / self._scale
+        along = np.einsum("nd,nd->n", samples.normals, scaled)
+        self._points = np.ascontiguousarray(
+            np.column_stack([scaled, samples.normals, along]).T, dtype=np.float32
+        )
+        self._allowed = np.ones((len(photos), len(samples)), dtype=np.uint8)
+        if allowed is not None:
+            self.allow(allowed)
+        self.min_samples = 1
+        self.evaluations = 0
+
+    def allow(self, allowed: Bool[np.ndarray, "m n"]) -> None:
+        """Sets which samples each photo may show; the others never vote."""
+        self._allowed = np.ascontiguousarray(allowed, dtype=np.uint8)
+
+    def require(self, cameras: Sequence[Camera]) -> None:
+        """Demands ``min_share`` of the samples that these cameras see in common."""
+        self.min_samples = max(1, int(self.config.min_share * self.n_common(cameras)))
+
+    def cost(self, cameras: Sequence[Camera]) -> float:
+        """The cost of one set of cameras; +inf when they see too little in common."""
+        return float(self._evaluate(_poses_of(cameras))[0][0])
+
+    def n_common(self, cameras: Sequence[Camera]) -> int:
+        """How many samples at least two of the photos see."""
+        return int(self._evaluate(_poses_of(cameras))[1][0])
+
+    def costs(
+        self, genes: Float[np.ndarray, "p g"], gene_map: GeneMap
+    ) -> Float[np.ndarray, "p"]:
+        """The costs of a population."""
+        self.evaluations += len(genes)
+        return self._evaluate(gene_map.poses(genes))[0]
+
+    def _evaluate(self, poses: Poses) -> tuple[np.ndarray, np.ndarray]:
+        config = self.config
+        projections, centers = self._normalised(poses)
+        low_share, high_share = config.trimmed_shares
+        return population_costs(
+            self._points,
+            projections,
+            centers,
+            self._allowed,
+            self.stack.pixels,
+            self.stack.layouts,
+            self.stack.has_mask,
+            config.min_cosine,
+            low_share,
+            high_share,
+            config.cost == "variance",
+            config.exposure,
+            self.min_samples,
+            min(len(projections), 4 * nb.get_num_threads()),
+        )
+
+    def _normalised(self, poses: Poses) -> tuple[np.ndarray, np.ndarray]:
+        """Projections and centres for the scaled points and the reduced photos."""
+        ratio = self.stack.layouts[:, 1:] / self.stack.full_sizes
+        reduce = np.zeros((len(ratio), 3, 3))
+        reduce[:, 0, 0], reduce[:, 1, 1], reduce[:, 2, 2] = ratio[:, 0], ratio[:, 1], 1
+        # Pixel centres: x_new = (x + 1/2) ratio - 1/2.
+        reduce[:, :2, 2] = 0.5 * ratio - 0.5
+        to_world = np.diag([self._scale, self._scale, self._scale, 1.0])
+        to_world[:3, 3] = self._origin
+        projections = reduce @ poses.P @ to_world
+        # Depths of O(1): rounding of the pixel is then relative to 1.
+        depth = np.abs(projections[..., 2, 3])
+        projections /= np.maximum(depth, 1e-12)[..., None, None]
+        centers = (poses.centers - self._origin) / self._scale
+        return (
+            np.ascontiguousarray(projections, dtype=np.float32),
+            np.ascontiguousarray(centers, dtype=np.float32),
+        )
+
+
+def _poses_of(cameras: Sequence[Camera]) -> Poses:
+    return Poses(
+        np.array([[camera.K for camera in cameras]]),
+        np.array([[camera.R_cam_world for camera in cameras]]),
+        np.array([[camera.t_cam_world for camera in cameras]]),
+    )
