@@ -340,7 +340,9 @@ def _carry_pixels(  # noqa: ANN202 - a kernel takes bare arrays.
             # Written so that NaN fails too.
             if not (0.0 <= u <= width_from - 1 and 0.0 <= v <= height_from - 1):
                 continue
-            nx, ny, nz = face_normals[face]
+            nx = face_normals[face, 0]
+            ny = face_normals[face, 1]
+            nz = face_normals[face, 2]
             sx, sy, sz = px - center_from[0], py - center_from[1], pz - center_from[2]
             distance = np.sqrt(sx * sx + sy * sy + sz * sz)
             offset = nx * sx + ny * sy + nz * sz
@@ -354,24 +356,43 @@ def _carry_pixels(  # noqa: ANN202 - a kernel takes bare arrays.
             ax = (N[0, 0] * nx + N[0, 1] * ny + N[0, 2] * nz) / offset
             ay = (N[1, 0] * nx + N[1, 1] * ny + N[1, 2] * nz) / offset
             aw = (N[2, 0] * nx + N[2, 1] * ny + N[2, 2] * nz) / offset
-            truly = True
-            for corner in range(8):
-                # The four sampled pixels, then the corners of the ring around them.
-                ring = corner // 4
-                jx = ix + (1 + ring if corner & 1 else -ring)
-                jy = iy + (1 + ring if corner & 2 else -ring)
-                if ring and not (0 <= jx < width_from and 0 <= jy < height_from):
-                    continue
-                inverse = ax * jx + ay * jy + aw
-                allowed = RING_TOLERANCE * tolerance if ring else tolerance
-                # |depth - 1 / inverse| <= allowed; fails where inverse is negative.
-                if not (abs(depth_from[jy, jx] * inverse - 1.0) <= allowed * inverse):
-                    truly = False
-                    break
-                if masked and not ring and not mask_from[jy, jx]:
-                    truly = False
-                    break
-            if not truly:
+            if not (
+                _shows(depth_from[iy, ix], ax * ix + ay * iy + aw, tolerance)
+                and _shows(
+                    depth_from[iy, ix + 1], ax * (ix + 1) + ay * iy + aw, tolerance
+                )
+                and _shows(
+                    depth_from[iy + 1, ix], ax * ix + ay * (iy + 1) + aw, tolerance
+                )
+                and _shows(
+                    depth_from[iy + 1, ix + 1],
+                    ax * (ix + 1) + ay * (iy + 1) + aw,
+                    tolerance,
+                )
+            ):
+                continue
+            if masked and not (
+                mask_from[iy, ix]
+                and mask_from[iy, ix + 1]
+                and mask_from[iy + 1, ix]
+                and mask_from[iy + 1, ix + 1]
+            ):
+                continue
+            tolerance *= RING_TOLERANCE
+            left, right = max(ix - 1, 0), min(ix + 2, width_from - 1)
+            top, bottom = max(iy - 1, 0), min(iy + 2, height_from - 1)
+            if not (
+                _shows(depth_from[top, left], ax * left + ay * top + aw, tolerance)
+                and _shows(
+                    depth_from[top, right], ax * right + ay * top + aw, tolerance
+                )
+                and _shows(
+                    depth_from[bottom, left], ax * left + ay * bottom + aw, tolerance
+                )
+                and _shows(
+                    depth_from[bottom, right], ax * right + ay * bottom + aw, tolerance
+                )
+            ):
                 continue
             fx, fy = u - ix, v - iy
             for channel in range(3):
@@ -385,3 +406,9 @@ def _carry_pixels(  # noqa: ANN202 - a kernel takes bare arrays.
                 picture[y, x, channel] = np.uint8(value + 0.5)
             seen[y, x] = True
     return picture, seen
+
+
+@nb.njit(nogil=True, cache=True, inline="always")
+def _shows(depth, inverse, tolerance):  # noqa: ANN001, ANN202
+    """Whether |depth - 1 / inverse| <= tolerance; false where inverse is negative."""
+    return abs(depth * inverse - 1.0) <= tolerance * inverse
