@@ -8,10 +8,18 @@ What made it fast, in nanoseconds a point and photo pair (1,000 points, two 1024
 photos, one thread): see the notes in the functions.
 """
 
+import os
+
 import numba as nb
 import numpy as np
 
 from photoreg.robust import N_BUCKETS, trimmed_mean
+
+# A generation takes about a millisecond. GNU OpenMP's threads spin between two calls,
+# and where another program wants the processor they spin away whole time slices of
+# it: 14 ms a call were measured in place of 2.7. It reads this when numba first
+# starts it, after this module is imported.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 FASTMATH = {"reassoc", "contract", "arcp", "nsz"}
 """Not "nnan": a point in a camera's plane gives NaN, and must compare as unseen."""
