@@ -46,7 +46,7 @@ class Metric:
 
 def spread(
     name: str,
-    values: Sequence[float],
+    values: Sequence[float] | np.ndarray,
     unit: str,
     mean_bar: float | None = None,
     worst_bar: float | None = None,

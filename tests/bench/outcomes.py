@@ -1,0 +1,121 @@
+"""One refinement after another against the truth, and the figures of many."""
+
+import dataclasses
+import time
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+
+from photoreg.camera import Camera
+from photoreg.evaluate import projection_error
+from photoreg.mesh import Mesh
+from photoreg.photo import Photo
+from photoreg.registration import Finished, RegistrationConfig, refine
+from tests.bench.metrics import Metric, spread
+from tests.bench.worlds import World
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """One refinement against the truth."""
+
+    start_px: float
+    end_px: float
+    elapsed_s: float
+    finished: Finished
+
+
+def run(
+    mesh: Mesh,
+    photos: Sequence[Photo],
+    true: Sequence[Camera],
+    start: Sequence[Camera],
+    config: RegistrationConfig | None = None,
+    true_mesh: Mesh | None = None,
+) -> Outcome:
+    """Refines ``start`` and measures both ends of the way, on ``true_mesh`` if given."""
+    began = time.perf_counter()
+    *_, finished = refine(mesh, photos, start, config)
+    elapsed_s = time.perf_counter() - began
+    assert isinstance(finished, Finished)
+    surface = mesh if true_mesh is None else true_mesh
+    return Outcome(
+        projection_error(surface, true, start).mean,
+        projection_error(surface, true, finished.cameras).mean,
+        elapsed_s,
+        finished,
+    )
+
+
+def run_world(world: World, preset: str = "default") -> Outcome:
+    """Refines a made scene's rough cameras; its seed is the search's too."""
+    config = RegistrationConfig.preset(
+        preset,  # pyright: ignore[reportArgumentType]
+        seed=world.seed,
+    )
+    return run(
+        world.mesh,
+        world.photos,
+        world.cameras,
+        world.rough_cameras,
+        config,
+        world.true_mesh,
+    )
+
+
+def figures(
+    name: str,
+    worlds: Iterable[World],
+    preset: str = "default",
+    *,
+    mean_bar: float | None = None,
+    worst_bar: float | None = None,
+    under: tuple[float, float] | None = None,
+) -> Iterator[Metric]:
+    """Error and time of a preset over scenes.
+
+    Args:
+        name: First part of the metrics' names.
+        worlds: The scenes.
+        preset: The preset's name.
+        mean_bar: Bar for the mean error, in pixels.
+        worst_bar: Bar for the worst error, in pixels.
+        under: An error in pixels, and the share of runs that should end at or below it.
+    """
+    outcomes = [run_world(world, preset) for world in worlds]
+    yield from error_figures(name, outcomes, mean_bar, worst_bar, under)
+    yield from spread(
+        f"{name}.time", [o.elapsed_s for o in outcomes], "s", tolerance=1.0
+    )
+
+
+def error_figures(
+    name: str,
+    outcomes: Sequence[Outcome],
+    mean_bar: float | None = None,
+    worst_bar: float | None = None,
+    under: tuple[float, float] | None = None,
+) -> Iterator[Metric]:
+    """Mean, spread, worst and share of successes of the errors of ``outcomes``."""
+    errors = np.array([outcome.end_px for outcome in outcomes])
+    starts = [outcome.start_px for outcome in outcomes]
+    note = f"start {min(starts):.1f}-{max(starts):.1f} px"
+    mean, std, worst = spread(
+        f"{name}.error", errors, "px", mean_bar, worst_bar, note=note
+    )
+    yield mean
+    yield std
+    order = np.argsort(-errors)[:4]
+    ends = ", ".join(f"{errors[k]:.2f} ({k})" for k in order)
+    yield dataclasses.replace(worst, note=f"worst (run): {ends}")
+    if under is not None:
+        limit, share = under
+        yield Metric(
+            f"{name}.under_{limit:g}px",
+            float((errors <= limit).mean()),
+            "of runs",
+            "higher",
+            share,
+            0.05,
+            f"{(errors <= limit).sum()} of {errors.size}",
+        )
