@@ -1,0 +1,232 @@
+"""The polish of cameras: levels, terms, prior; from rough cameras to precise ones."""
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from photoreg.camera import Camera
+from photoreg.errors import InputError, RefinementError
+from photoreg.increments import N_INCREMENTS, Increments, PriorScales
+from photoreg.mesh import Mesh
+from photoreg.photo import Photo
+from photoreg.photometric import (
+    PairTerm,
+    SurfaceView,
+    pair_points,
+    prepare_photo,
+    surface_view,
+)
+from photoreg.polish import Damping, Prior, Term, minimise
+
+
+@dataclasses.dataclass(frozen=True)
+class PolishConfig:
+    """Settings of the polish."""
+
+    blurs_px: tuple[float, ...] = (8.0, 4.0, 2.0, 1.0, 0.5)
+    """Blur of each level, coarse to fine, in pixels of a photo 1,024 px wide."""
+    points: tuple[int, ...] = (8_000, 12_000, 16_000, 30_000, 60_000)
+    """Surface points of each level over all pairs of photos."""
+    rounds: tuple[int, ...] = (3, 2, 2, 1, 2)
+    """How often each level renews visibility, exposure and noise."""
+    iterations: int = 8
+    """Steps of the minimisation a round, at most."""
+    min_cosine: float = 0.25
+    """Least cosine between the surface's normal and the view of a point that counts."""
+    cell_px: float = 32.0
+    """Side of the cells that share an offset of light, in pixels of 1,024."""
+    max_side_px: int = 2048
+    """Photos are reduced to this many pixels on the longer side at most."""
+
+    def __post_init__(self) -> None:
+        n = len(self.blurs_px)
+        if n == 0 or len(self.points) != n or len(self.rounds) != n:
+            raise InputError(
+                "The polish needs blurs_px, points and rounds of one length, at least "
+                f"one level, but they have {n}, {len(self.points)}, {len(self.rounds)}."
+            )
+        if not all(np.isfinite(b) and b >= 0.0 for b in self.blurs_px):
+            raise InputError(f"blurs_px should be 0 or more, but is {self.blurs_px}.")
+        if min(self.points) < 100 or min(self.rounds) < 1 or self.iterations < 1:
+            raise InputError(
+                "A level of the polish needs at least 100 points, 1 round and 1 iteration."
+            )
+        if not 0.0 < self.min_cosine < 1.0:
+            raise InputError(
+                f"min_cosine should be between 0 and 1, but is {self.min_cosine}."
+            )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PolishStep:
+    """One step of a running polish; the last one is the answer."""
+
+    level: int
+    """0 is the coarsest."""
+    n_levels: int
+    iteration: int
+    """Steps so far, over all levels."""
+    cost: float
+    """Robust cost of this level's round; comparable only within the round."""
+    cameras: tuple[Camera, ...]
+    """The cameras now."""
+    x: Float[np.ndarray, "p"]
+    """Nine increments a camera, in units of the prior."""
+    normal: Float[np.ndarray, "p p"]
+    """Normal matrix of the cost at x, in the same units."""
+    increments: tuple[Increments, ...]
+    """What the numbers mean."""
+    warnings: tuple[str, ...] = ()
+
+
+def polish_cameras(
+    mesh: Mesh,
+    photos: Sequence[Photo],
+    cameras: Sequence[Camera],
+    prior_cameras: Sequence[Camera],
+    config: PolishConfig | None = None,
+    seed: int = 0,
+    box_scale: float = 1.0,
+) -> Iterator[PolishStep]:
+    """Moves all cameras at once to where the photos agree on the surface.
+
+    Args:
+        mesh: The surface.
+        photos: At least one photo.
+        cameras: Where to start, one a photo.
+        prior_cameras: The pre-registration; one sigma is ``PriorScales`` around it.
+        config: Settings; None: the defaults.
+        seed: Of the sampling.
+        box_scale: Factor on the prior's intervals.
+
+    Raises:
+        RefinementError: if a camera does not see the mesh.
+    """
+    config = config or PolishConfig()
+    scales = PriorScales().scaled(box_scale)
+    sizes = [_working_size(photo, config.max_side_px) for photo in photos]
+    increments = tuple(
+        Increments(prior, _pivot(mesh, camera, photo.name), scales)
+        for prior, camera, photo in zip(prior_cameras, cameras, photos, strict=True)
+    )
+    x = np.concatenate(
+        [inc.of_camera(c) for inc, c in zip(increments, cameras, strict=True)]
+    )
+    n_levels = len(config.blurs_px)
+    prior = Prior(np.zeros_like(x), np.eye(len(x)))
+    done = 0
+    for level, blur in enumerate(config.blurs_px):
+        for turn in range(config.rounds[level]):
+            terms: list[Term] = [
+                prior,
+                *_pair_terms(
+                    mesh,
+                    photos,
+                    increments,
+                    x,
+                    sizes,
+                    blur,
+                    config.points[level],
+                    config,
+                    seed + 101 * level + turn,
+                ),
+            ]
+            damping = Damping(max_iterations=config.iterations)
+            for step in minimise(terms, x, damping):
+                x = step.x
+                done += step.iteration > 0
+                yield PolishStep(
+                    level,
+                    n_levels,
+                    done,
+                    step.model.cost,
+                    tuple(_cameras(increments, x)),
+                    x,
+                    step.model.normal,
+                    increments,
+                )
+
+
+def _cameras(increments: Sequence[Increments], x: np.ndarray) -> list[Camera]:
+    return [
+        inc.camera(x[i * N_INCREMENTS : (i + 1) * N_INCREMENTS])
+        for i, inc in enumerate(increments)
+    ]
+
+
+def _working_size(photo: Photo, max_side_px: int) -> tuple[int, int]:
+    scale = min(1.0, max_side_px / max(photo.width, photo.height))
+    return max(1, round(photo.width * scale)), max(1, round(photo.height * scale))
+
+
+def _pivot(mesh: Mesh, camera: Camera, name: str) -> np.ndarray:
+    scale = min(1.0, 128 / max(camera.width, camera.height))
+    small = camera.resized(
+        max(2, round(camera.width * scale)), max(2, round(camera.height * scale))
+    )
+    view = surface_view(mesh, small)
+    if not view.covered.any():
+        raise RefinementError(
+            f"The camera of {name} does not see the mesh; align it by hand first."
+        )
+    rows, columns = np.nonzero(view.covered)
+    center, directions = small.rays(np.column_stack([columns, rows]))
+    return (center + view.depth[rows, columns][:, None] * directions).mean(axis=0)
+
+
+def _pair_terms(
+    mesh: Mesh,
+    photos: Sequence[Photo],
+    increments: Sequence[Increments],
+    x: np.ndarray,
+    sizes: Sequence[tuple[int, int]],
+    blur: float,
+    n_points: int,
+    config: PolishConfig,
+    seed: int,
+) -> list[PairTerm]:
+    views: list[SurfaceView] = []
+    images: list[np.ndarray] = []
+    blurs: list[float] = []
+    for camera, photo, size in zip(_cameras(increments, x), photos, sizes, strict=True):
+        sigma = blur * size[0] / 1024.0 if blur > 0.5 else blur
+        reduction = 2 ** max(0, int(np.floor(np.log2(max(sigma, 1.0) / 1.5))))
+        small = camera.resized(
+            max(16, round(size[0] / reduction)), max(16, round(size[1] / reduction))
+        )
+        view = surface_view(mesh, small)
+        views.append(view)
+        blurs.append(sigma / reduction)
+        images.append(prepare_photo(photo, view, blurs[-1]))
+    pairs = [(i, k) for k in range(len(photos)) for i in range(k)]
+    terms = []
+    for i, k in pairs:
+        cell = config.cell_px * views[i].camera.width / 1024.0
+        surface = pair_points(
+            mesh,
+            (photos[i], photos[k]),
+            (views[i], views[k]),
+            max(500, n_points // len(pairs)),
+            cell,
+            0.0,
+            config.min_cosine,
+            seed,
+        )
+        if len(surface.points) < 200:
+            continue
+        seen = float(views[i].covered.sum())
+        blob = 4.0 * np.pi * (blurs[i] ** 2 + 0.25)
+        independent = min(1.0, seen / blob / len(surface.points))
+        terms.append(
+            PairTerm.measured(
+                (i, k),
+                surface,
+                (images[i], images[k]),
+                (increments[i], increments[k]),
+                x,
+                independent * 2.0 / len(photos),
+            )
+        )
+    return terms

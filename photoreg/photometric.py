@@ -1,0 +1,372 @@
+"""Photo-consistency for the polish: photos on a level, surface points, the pair's term."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from photoreg.camera import Camera
+from photoreg.increments import N_INCREMENTS, Increments
+from photoreg.kernels_polish import pair_normal_equations, pair_values
+from photoreg.mesh import Mesh
+from photoreg.photo import Photo
+from photoreg.polish import Quadratic
+
+N_CHUNKS = 32
+"""Chunks of cells summed apart and then in order: the sum does not depend on threads."""
+CUT = 2.0
+"""Scale of the Cauchy cost in residual sigmas."""
+MIN_SIGMA = 0.5
+"""Least residual scale, in grey levels of 255: the rounding of bytes is 0.3."""
+
+# Grey, and two colour differences that a change of brightness leaves nearly alone.
+_OPPONENT = np.array(
+    [
+        [1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0],
+        [0.5, 0.0, -0.5],
+        [0.25, -0.5, 0.25],
+    ],
+    dtype=np.float32,
+)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SurfaceView:
+    """What a camera sees of the mesh, a pixel grid of rays."""
+
+    camera: Camera
+    covered: Bool[np.ndarray, "h w"]
+    """Whether the pixel's ray meets the mesh."""
+    depth: Float[np.ndarray, "h w"]
+    """Distance along the ray in model units; infinity where nothing is met."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PairPoints:
+    """Surface points that both photos of a pair see, cell by cell."""
+
+    points: Float[np.ndarray, "n 3"]
+    normals: Float[np.ndarray, "n 3"]
+    weights: Float[np.ndarray, "n"]
+    cell_starts: Int[np.ndarray, "cells+1"]
+
+    @property
+    def chunk_starts(self) -> Int[np.ndarray, "chunks+1"]:
+        """First cell of each chunk; chunks hold about the same number of points."""
+        targets = np.linspace(0, len(self.points), N_CHUNKS + 1)[1:-1]
+        inner = np.searchsorted(self.cell_starts, targets)
+        return np.concatenate([[0], inner, [len(self.cell_starts) - 1]]).astype(
+            np.int64
+        )
+
+
+def surface_view(mesh: Mesh, camera: Camera) -> SurfaceView:
+    """Casts a ray through every pixel that the mesh's bounding box covers."""
+    h, w = camera.height, camera.width
+    covered = np.zeros((h, w), dtype=bool)
+    depth = np.full((h, w), np.inf)
+    x0, y0, x1, y1 = bounding_window(mesh, camera)
+    if x1 > x0 and y1 > y0:
+        xs, ys = np.meshgrid(np.arange(x0, x1), np.arange(y0, y1))
+        center, directions = camera.rays(np.column_stack([xs.ravel(), ys.ravel()]))
+        face, distance = mesh.first_hits(
+            np.broadcast_to(center, directions.shape), directions
+        )
+        covered[y0:y1, x0:x1] = (face >= 0).reshape(xs.shape)
+        depth[y0:y1, x0:x1] = distance.reshape(xs.shape)
+    return SurfaceView(camera, covered, depth)
+
+
+def bounding_window(mesh: Mesh, camera: Camera) -> tuple[int, int, int, int]:
+    """Pixels x0, y0 (first), x1, y1 (past the last) that may show the mesh."""
+    low, high = mesh.bounds
+    corners = np.array(
+        [
+            [x, y, z]
+            for x in (low[0], high[0])
+            for y in (low[1], high[1])
+            for z in (low[2], high[2])
+        ]
+    )
+    pixels = camera.project(corners)
+    if np.isnan(pixels).any():
+        return 0, 0, camera.width, camera.height
+    size = np.array([camera.width, camera.height])
+    first = np.clip(np.floor(pixels.min(axis=0)), 0, size).astype(int)
+    last = np.clip(np.ceil(pixels.max(axis=0)) + 1, 0, size).astype(int)
+    return first[0], first[1], last[0], last[1]
+
+
+def prepare_photo(
+    photo: Photo, view: SurfaceView, sigma_px: float
+) -> Float[np.ndarray, "h w 3"]:
+    """The photo at the view's size in opponent channels, blurred inside the object.
+
+    Blurred is (photo x cover) / cover: the background never bleeds in. Beyond the
+    blur's reach the object's mean colour stands.
+
+    Args:
+        photo: Any size; it is reduced by area to the view's.
+        view: What the camera sees of the mesh, at the size wanted.
+        sigma_px: Blur in pixels of the view.
+
+    Returns:
+        float32, grey levels of 255.
+    """
+    size = (view.camera.width, view.camera.height)
+    pixels = photo.pixels
+    if (photo.width, photo.height) != size:
+        pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+    channels = cv2.transform(pixels.astype(np.float32), _OPPONENT)
+    cover = view.covered.astype(np.float32)
+    if photo.mask is not None:
+        cover *= cv2.resize(
+            photo.mask.astype(np.float32), size, interpolation=cv2.INTER_AREA
+        )
+    total = float(cover.sum())
+    if total == 0.0 or sigma_px <= 0.0:
+        return channels
+    mean = (channels * cover[:, :, None]).sum(axis=(0, 1)) / total
+    channels -= mean.astype(np.float32)
+    blurred = cv2.GaussianBlur(channels * cover[:, :, None], (0, 0), sigma_px)
+    weight = cv2.GaussianBlur(cover, (0, 0), sigma_px)
+    blurred /= np.maximum(weight, 1e-3)[:, :, None]
+    return blurred
+
+
+def pair_points(
+    mesh: Mesh,
+    photos: Sequence[Photo],
+    views: Sequence[SurfaceView],
+    n_points: int,
+    cell_px: float,
+    margin_px: float,
+    min_cosine: float,
+    seed: int,
+) -> PairPoints:
+    """Points on the mesh seen by both photos of a pair, evenly over the first photo.
+
+    Args:
+        mesh: The surface.
+        photos: The two photos, for their masks.
+        views: What the two cameras see.
+        n_points: About how many points.
+        cell_px: Side of a cell in pixels of the first view.
+        margin_px: Points nearer than this to the rim of the view, in pixels, are
+            left out.
+        min_cosine: Least cosine between the surface's normal and the view.
+        seed: Of the jitter.
+    """
+    view, other = views
+    camera = view.camera
+    rng = np.random.default_rng(seed)
+    inner = cv2.distanceTransform(view.covered.astype(np.uint8), cv2.DIST_L2, 3)
+    window = np.flatnonzero((view.covered & (inner > margin_px)).ravel())
+    if len(window) == 0:
+        return PairPoints(
+            np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(1, dtype=np.int64)
+        )
+    # Evenly spaced through the row-wise list, jittered: about even over the photo.
+    n = min(n_points * 2, 4 * len(window))
+    chosen = window[
+        ((np.arange(n) + rng.random(n)) * (len(window) / n)).astype(np.int64)
+    ]
+    pixels = np.column_stack([chosen % camera.width, chosen // camera.width])
+    pixels = pixels + rng.random(pixels.shape) - 0.5
+    center, directions = camera.rays(pixels)
+    face, distance = mesh.first_hits(
+        np.broadcast_to(center, directions.shape), directions
+    )
+    keep = face >= 0
+    points = center + np.where(keep, distance, 1.0)[:, None] * directions
+    normals = mesh.face_normals[np.maximum(face, 0)]
+    for v, photo in zip(views, photos, strict=True):
+        towards = v.camera.center - points
+        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+        keep &= np.einsum("ij,ij->i", normals, towards) > min_cosine
+        at = v.camera.project(points)
+        keep &= v.camera.contains(np.nan_to_num(at, nan=-1.0))
+        if photo.mask is not None:
+            x = np.clip(
+                np.rint((at[:, 0] + 0.5) * photo.width / v.camera.width - 0.5),
+                0,
+                photo.width - 1,
+            )
+            y = np.clip(
+                np.rint((at[:, 1] + 0.5) * photo.height / v.camera.height - 0.5),
+                0,
+                photo.height - 1,
+            )
+            keep &= photo.mask[
+                np.nan_to_num(y).astype(int), np.nan_to_num(x).astype(int)
+            ]
+    index = np.flatnonzero(keep)
+    index = index[mesh.is_unoccluded(points[index], other.camera.center)]
+    if margin_px > 0:
+        far = cv2.distanceTransform(other.covered.astype(np.uint8), cv2.DIST_L2, 3)
+        at = np.rint(other.camera.project(points[index])).astype(int)
+        index = index[far[at[:, 1], at[:, 0]] > margin_px]
+    if len(index) > n_points:
+        index = index[rng.permutation(len(index))[:n_points]]
+    cell = np.floor(pixels[index] / cell_px).astype(np.int64)
+    key = cell[:, 1] * 100_003 + cell[:, 0]
+    order = np.argsort(key, kind="stable")
+    index, key = index[order], key[order]
+    starts = np.flatnonzero(np.concatenate([[True], key[1:] != key[:-1]]))
+    starts = np.concatenate([starts, [len(key)]]) if len(key) else np.zeros(1)
+    return PairPoints(
+        np.ascontiguousarray(points[index]),
+        _smooth_normals(normals[index], starts),
+        np.ones(len(index)),
+        starts.astype(np.int64),
+    )
+
+
+def _smooth_normals(normals: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    if len(normals) == 0:
+        return normals
+    starts = starts.astype(np.int64)
+    means = np.repeat(_cell_means(normals, starts), np.diff(starts), axis=0)
+    mixed = normals + means
+    return mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PairTerm:
+    """Photo-consistency of two photos: a term of the polish.
+
+    Gain, offset, residual scale and the spread of the cells' offsets are measured at
+    construction (``measured``) and then held, so the cost is one function of x.
+    """
+
+    pair: tuple[int, int]
+    """Indices of the photos."""
+    surface: PairPoints
+    images: tuple[np.ndarray, np.ndarray]
+    increments: tuple[Increments, Increments]
+    gain: Float[np.ndarray, "3"]
+    offset: Float[np.ndarray, "3"]
+    sigma: Float[np.ndarray, "3"]
+    tau: Float[np.ndarray, "3"]
+    weight: float
+    n_photos: int
+
+    @classmethod
+    def measured(
+        cls,
+        pair: tuple[int, int],
+        surface: PairPoints,
+        images: tuple[np.ndarray, np.ndarray],
+        increments: tuple[Increments, Increments],
+        x: Float[np.ndarray, "p"],
+        weight: float,
+    ) -> "PairTerm":
+        """The term, with exposure and noise measured at ``x``."""
+        n_photos = len(x) // N_INCREMENTS
+        values = pair_values(
+            surface.points, *images, *_geometries(pair, increments, images, x)
+        )
+        gain, offset, sigma, tau = measure_noise(values, surface.cell_starts)
+        return cls(
+            pair,
+            surface,
+            images,
+            increments,
+            gain,
+            offset,
+            sigma,
+            tau,
+            weight,
+            n_photos,
+        )
+
+    def cost(self, x: Float[np.ndarray, "p"]) -> float:
+        """The cost at ``x``."""
+        return self.weight * float(np.sum(self._sums(x, derivatives=False)[0]))
+
+    def linearise(self, x: Float[np.ndarray, "p"]) -> Quadratic:
+        """The cost and normal equations at ``x``."""
+        costs, gradients, normals = self._sums(x, derivatives=True)
+        rows = np.concatenate(
+            [np.arange(N_INCREMENTS) + i * N_INCREMENTS for i in self.pair]
+        )
+        gradient, normal = np.zeros(len(x)), np.zeros((len(x), len(x)))
+        gradient[rows] = self.weight * gradients.sum(axis=0)
+        normal[np.ix_(rows, rows)] = self.weight * normals.sum(axis=0)
+        return Quadratic(self.weight * float(costs.sum()), gradient, normal)
+
+    def _sums(
+        self, x: np.ndarray, *, derivatives: bool
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        surface = self.surface
+        with np.errstate(divide="ignore"):
+            precision = np.minimum((self.sigma / self.tau) ** 2, 1e12)
+        return pair_normal_equations(
+            surface.points,
+            surface.normals,
+            surface.weights,
+            surface.cell_starts,
+            surface.chunk_starts,
+            *self.images,
+            *_geometries(self.pair, self.increments, self.images, x),
+            self.gain,
+            self.offset,
+            1.0 / self.sigma,
+            precision,
+            CUT,
+            derivatives,
+        )
+
+
+def measure_noise(
+    values: Float[np.ndarray, "n 2 3"], cell_starts: Int[np.ndarray, "cells+1"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Exposure between two photos and the noise of what it leaves, a channel each.
+
+    Returns:
+        Square root of the gain, offset, residual sigma within cells (robust), and the
+        spread tau of the cells' offsets beyond what sigma explains.
+    """
+    counts = np.diff(cell_starts)
+    values = np.nan_to_num(values)
+    means = _cell_means(values.reshape(len(values), -1), cell_starts).reshape(-1, 2, 3)
+    within = values - np.repeat(means, counts, axis=0)
+    # Deviations within cells: slow light would otherwise pass for contrast.
+    spread = np.sqrt(np.maximum((within**2).mean(axis=0), 1e-6))
+    gain = np.sqrt(np.clip(spread[1] / spread[0], 0.25, 4.0))
+    residual = values[:, 0] * gain - values[:, 1] / gain
+    offset = np.median(residual, axis=0)
+    residual = residual - offset
+    cells = _cell_means(residual, cell_starts)
+    inner = residual - np.repeat(cells, counts, axis=0)
+    # n - 1 of n: the cell's mean took one degree of freedom.
+    lost = np.sqrt(len(values) / max(len(values) - len(counts), 1))
+    sigma = np.maximum(1.4826 * np.median(np.abs(inner), axis=0) * lost, MIN_SIGMA)
+    big = counts >= 8
+    if big.sum() < 8:
+        return gain, offset, sigma, np.zeros(3)
+    between = (1.4826 * np.median(np.abs(cells[big]), axis=0)) ** 2
+    noise = sigma**2 * np.mean(1.0 / counts[big])
+    return gain, offset, sigma, np.sqrt(np.maximum(between - noise, 0.0))
+
+
+def _cell_means(values: np.ndarray, cell_starts: np.ndarray) -> np.ndarray:
+    sums = np.add.reduceat(values, cell_starts[:-1], axis=0)
+    return sums / np.diff(cell_starts)[:, None]
+
+
+def _geometries(
+    pair: tuple[int, int],
+    increments: tuple[Increments, Increments],
+    images: tuple[np.ndarray, np.ndarray],
+    x: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    first, second = (
+        increment.geometry(
+            x[i * N_INCREMENTS : (i + 1) * N_INCREMENTS], image.shape[1], image.shape[0]
+        )
+        for i, increment, image in zip(pair, increments, images, strict=True)
+    )
+    return first, second

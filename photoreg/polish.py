@@ -1,0 +1,141 @@
+"""Levenberg-Marquardt over a sum of robust terms; knows residuals, no cameras.
+
+A term gives its cost at x and, on demand, the normal equations there: the gradient
+and the Gauss-Newton approximation of the second derivative, with robust weights. How
+they come about (photos, rims, priors) is the term's own affair.
+"""
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Quadratic:
+    """A cost's local model: cost + gradient . dx + dx . normal . dx / 2."""
+
+    cost: float
+    """Value of the cost: half the sum of squared weighted residuals, robustly."""
+    gradient: Float[np.ndarray, "p"]
+    """First derivative of the cost."""
+    normal: Float[np.ndarray, "p p"]
+    """Gauss-Newton second derivative: symmetric, not negative."""
+
+
+class Term(Protocol):
+    """One part of the cost."""
+
+    def cost(self, x: Float[np.ndarray, "p"]) -> float:
+        """The cost at ``x``."""
+        ...
+
+    def linearise(self, x: Float[np.ndarray, "p"]) -> Quadratic:
+        """The cost and its local model at ``x``."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Prior:
+    """Half the squared distance from ``mean``, each direction in its own sigma."""
+
+    mean: Float[np.ndarray, "p"]
+    precision: Float[np.ndarray, "p p"]
+    """Inverse covariance."""
+
+    def cost(self, x: Float[np.ndarray, "p"]) -> float:
+        """The cost at ``x``."""
+        d = x - self.mean
+        return float(0.5 * d @ self.precision @ d)
+
+    def linearise(self, x: Float[np.ndarray, "p"]) -> Quadratic:
+        """The cost and its (exact) local model at ``x``."""
+        return Quadratic(self.cost(x), self.precision @ (x - self.mean), self.precision)
+
+
+@dataclasses.dataclass(frozen=True)
+class Damping:
+    """When the minimisation steps, and when it ends."""
+
+    max_iterations: int = 20
+    """Accepted or refused steps, at most."""
+    step_tolerance: float = 1e-3
+    """End when the longest component of an accepted step is below this, in units of
+    the parameters."""
+    cost_tolerance: float = 1e-6
+    """End when an accepted step lowers the cost by less than this share of it."""
+    initial: float = 1e-6
+    """First damping, as a share of the normal matrix's diagonal."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Iterate:
+    """One accepted step; the first is the start."""
+
+    iteration: int
+    x: Float[np.ndarray, "p"]
+    model: Quadratic
+    """The whole cost's local model at ``x``."""
+
+
+def total(terms: Sequence[Term], x: Float[np.ndarray, "p"]) -> Quadratic:
+    """The local model of the sum of ``terms``."""
+    parts = [term.linearise(x) for term in terms]
+    return Quadratic(
+        sum(part.cost for part in parts),
+        np.sum([part.gradient for part in parts], axis=0),
+        np.sum([part.normal for part in parts], axis=0),
+    )
+
+
+def total_cost(terms: Sequence[Term], x: Float[np.ndarray, "p"]) -> float:
+    """The sum of the costs of ``terms``."""
+    return sum(term.cost(x) for term in terms)
+
+
+def minimise(
+    terms: Sequence[Term], x: Float[np.ndarray, "p"], damping: Damping
+) -> Iterator[Iterate]:
+    """Damped Gauss-Newton from ``x``; yields the start and every accepted step.
+
+    The cost of what is yielded never rises. The damping follows the ratio of actual
+    to predicted gain.
+
+    References:
+        H. B. Nielsen, "Damping Parameter in Marquardt's Method", 1999.
+    """
+    x = np.array(x, dtype=np.float64)
+    model = total(terms, x)
+    yield Iterate(0, x, model)
+    share, growth = damping.initial, 2.0
+    for iteration in range(1, damping.max_iterations + 1):
+        diagonal = np.diag(model.normal)
+        # A parameter that nothing sees has a zero diagonal: keep the matrix regular.
+        floor = max(float(diagonal.max()), 1e-300) * 1e-12
+        step = -np.linalg.solve(
+            model.normal + np.diag(share * diagonal + floor), model.gradient
+        )
+        predicted = -float(model.gradient @ step + 0.5 * step @ model.normal @ step)
+        if not predicted > 0.0:
+            return
+        gained = model.cost - total_cost(terms, x + step)
+        if not gained > 0.0:
+            share, growth = share * growth, growth * 2.0
+            if np.abs(step).max() < damping.step_tolerance:
+                return
+            continue
+        ratio = gained / predicted
+        share *= max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3)
+        share, growth = max(share, 1e-7), 2.0
+        x = x + step
+        before = model.cost
+        model = total(terms, x)
+        yield Iterate(iteration, x, model)
+        if np.abs(
+            step
+        ).max() < damping.step_tolerance or gained < damping.cost_tolerance * abs(
+            before
+        ):
+            return
