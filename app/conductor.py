@@ -1,0 +1,330 @@
+"""Between session and worker: clicks become jobs, the worker's events become states.
+
+No viser here: the tests drive a whole refinement through this without a browser.
+"""
+
+import dataclasses
+import logging
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from app import outcomes
+from app import session as rules
+from app.messages import (
+    Bake,
+    Baked,
+    Died,
+    DrawOverlay,
+    Event,
+    Failed,
+    Live,
+    LoadMesh,
+    LoadPhoto,
+    MeshLoaded,
+    OverlayView,
+    PhotoLoaded,
+    Picture,
+    Ready,
+    Refine,
+    Refined,
+    SetScene,
+    Working,
+)
+from app.opening import demo_folder, open_folder, with_camera_file
+from app.session import Document, Job, Run, Session, State, Texture
+from app.worker import Worker
+from photoreg.camera import Camera
+from photoreg.errors import InputError, RefinementError
+from photoreg.formats.cameras_json import CameraFile, dump_cameras
+from photoreg.mesh import MESH_SUFFIXES
+from photoreg.photo import PHOTO_SUFFIXES
+
+log = logging.getLogger(__name__)
+
+
+class Conductor:
+    """What the app can do for its user beyond changing a value."""
+
+    def __init__(self, session: Session, warm_up: bool = True) -> None:
+        self.session = session
+        self.picture: bytes | None = None
+        """The newest overlay, a JPEG file."""
+        self.on_picture: Callable[[], None] = lambda: None
+        self.on_problem: Callable[[str], None] = _ignore
+        """Called with a sentence for everybody who looks at the page."""
+        self._scene_sent: Document | None = None
+        self._uploads = tempfile.TemporaryDirectory(prefix="photoreg-")
+        self._upload_count = 0
+        # One lock for both: listeners run under the session's.
+        self._lock = session.lock
+        self.worker = Worker(self._on_event, warm_up)
+        session.listen(self._follow)
+        self._follow(State(), session.state)
+
+    def close(self) -> None:
+        """Ends the worker and removes uploaded files."""
+        self.worker.close()
+        self._uploads.cleanup()
+
+    # What the user asks for.
+
+    def open_demo(self) -> None:
+        """Opens the demo in place of what is open; undo brings that back."""
+        self.open(open_folder(demo_folder()), "Open the demo")
+
+    def open(self, document: Document, name: str) -> None:
+        """Makes ``document`` the one that is worked on."""
+        _must_be_idle(self.session.state)
+        self.session.change(
+            name,
+            lambda state: dataclasses.replace(
+                state, document=document, selected=0, texture=None
+            ),
+        )
+
+    def upload_mesh(self, name: str, content: bytes) -> None:
+        """Reads an uploaded mesh in the worker."""
+        path = self._keep(name, content, MESH_SUFFIXES, "mesh")
+        self._begin_job(f"Reading {path.name}")
+        self.worker.send(LoadMesh(path))
+
+    def upload_photo(self, name: str, content: bytes) -> None:
+        """Reads an uploaded photo in the worker."""
+        path = self._keep(name, content, PHOTO_SUFFIXES, "photo")
+        self._begin_job(f"Reading {path.name}")
+        self.worker.send(LoadPhoto(path))
+
+    def upload_cameras(self, name: str, content: bytes) -> None:
+        """Takes the cameras of an uploaded file, matched by photo name."""
+        path = self._keep(name, content, (".json",), "camera file")
+        _must_be_idle(self.session.state)
+        self.session.change(
+            f"Load {path.name}",
+            lambda state: dataclasses.replace(
+                state, document=with_camera_file(state.document, path)
+            ),
+        )
+
+    def refine(self) -> None:
+        """Starts the refinement of the photos used."""
+        with self._lock:
+            state = self.session.state
+            _must_be_idle(state)
+            document = state.document
+            if document.mesh is None:
+                raise RefinementError("There is no mesh yet. Load one in the Data tab.")
+            if len(document.used) < 2:
+                raise RefinementError(
+                    f"Two photos at least are needed, but {len(document.used)} "
+                    "is in use. Add one in the Data tab."
+                )
+            names = tuple(entry.name for entry in document.used)
+            start = document.used_cameras
+            run = Run("starting", names, start, start, step="Starting")
+            self.session.change(None, rules.setting(run=run, note=""))
+            self._send_scene(document)
+            self.worker.send(
+                Refine(start, state.preset, _view(state), document.true_cameras(names))
+            )
+
+    def stop(self) -> None:
+        """Ends the refinement; the best so far waits to be accepted."""
+
+        def stopping(state: State) -> State:
+            if not state.run.is_active:
+                return state
+            run = dataclasses.replace(state.run, status="stopping", step="Stopping")
+            return dataclasses.replace(state, run=run)
+
+        if self.session.change(None, stopping):
+            self.worker.stop_refinement()
+
+    def accept(self) -> None:
+        """Takes the refined cameras into the document, as one undo step."""
+        self.session.change("Refine", rules.accepted)
+
+    def revert(self) -> None:
+        """Goes back to the cameras from before the refinement."""
+        self.session.change(None, rules.reverted)
+
+    def bake(self) -> None:
+        """Makes the textured model of the document's cameras."""
+        with self._lock:
+            state = self.session.state
+            _must_be_idle(state)
+            if state.document.mesh is None or not state.document.used:
+                raise InputError(
+                    "A textured model needs a mesh and a photo. Load them in the "
+                    "Data tab."
+                )
+            self._begin_job("Making the texture")
+            self._send_scene(state.document)
+            self.worker.send(Bake(state.document.used_cameras))
+
+    def cameras_text(self) -> str:
+        """The document's cameras as a photoreg camera file."""
+        photos = self.session.state.document.photos
+        if not photos:
+            raise InputError("There are no photos, so there are no cameras to save.")
+        return dump_cameras(CameraFile({entry.name: entry.camera for entry in photos}))
+
+    # What the worker reports.
+
+    def _on_event(self, event: Event) -> None:
+        match event:
+            case Ready():
+                self._set(worker="")
+            case MeshLoaded():
+                self._end_job()
+                self.session.change(
+                    f"Load {event.mesh.name}",
+                    lambda state: outcomes.with_mesh(state, event),
+                )
+            case PhotoLoaded():
+                self._end_job()
+                self.session.change(
+                    f"Add {event.photo.name}",
+                    lambda state: outcomes.with_photo(state, event),
+                )
+            case Live():
+                self.session.change(None, lambda state: outcomes.advanced(state, event))
+            case Picture():
+                self.picture = event.jpeg
+                self.session.change(None, lambda state: outcomes.measured(state, event))
+                self.on_picture()
+            case Refined():
+                self.session.change(None, lambda state: outcomes.ended(state, event))
+            case Working():
+                self._set(job=Job(event.title, event.fraction))
+            case Baked():
+                texture = Texture(
+                    event.archive, event.glb, event.cameras, event.summary
+                )
+                self._set(job=None, texture=texture, note="The texture is ready.")
+            case Failed():
+                self._on_failure(event)
+            case Died():
+                self._on_death(event)
+
+    def _on_failure(self, event: Failed) -> None:
+        if event.details:
+            log.error("%s failed:\n%s", event.job, event.details)
+        if event.job == DrawOverlay.__name__:
+            return  # Nothing to see from there; the last picture stays.
+        self._set(job=None)
+        if event.job == Refine.__name__:
+            self.session.change(
+                None,
+                lambda state: outcomes.broken_off(state, event.message, keep=False),
+            )
+        self.on_problem(event.message)
+
+    def _on_death(self, event: Died) -> None:
+        log.error("The worker process died (exit code %s)", event.exit_code)
+        with self._lock:
+            self._scene_sent = None
+        state = self.session.state
+        self._set(job=None, worker="Starting the engine again")
+        what = state.job.title if state.job is not None else None
+        if state.run.is_active:
+            what = "The refinement"
+            self.session.change(
+                None,
+                lambda state: outcomes.broken_off(
+                    state, "The engine died; this is the best until then.", keep=True
+                ),
+            )
+        if what is not None:
+            self.on_problem(
+                f"{what} was cut short: the engine process died. It is being started "
+                "again; the best so far is kept."
+            )
+
+    # What follows from a change of state.
+
+    def _follow(self, old: State, new: State) -> None:
+        """Keeps the overlay up to date with the cameras and the choices."""
+        wanted, before = _view(new), _view(old)
+        if new.run.is_active:
+            if wanted != before:
+                self.worker.send(wanted)
+            return
+        if new.document.mesh is None or len(new.document.used) < 2:
+            return
+        cameras = _shown_cameras(new)
+        if (
+            wanted == before
+            and old.document.mesh is new.document.mesh
+            and not old.run.is_active
+            and len(cameras) == len(_shown_cameras(old))
+            and all(map(rules.same_camera, cameras, _shown_cameras(old)))
+        ):
+            return
+        with self._lock:
+            self._send_scene(new.document)
+            names = tuple(entry.name for entry in new.document.used)
+            truth = new.document.true_cameras(names)
+            self.worker.send(DrawOverlay(cameras, wanted, truth))
+
+    def _send_scene(self, document: Document) -> None:
+        sent = self._scene_sent
+        photos = tuple(entry.photo for entry in document.used)
+        if document.mesh is not None and (
+            sent is None
+            or sent.mesh is not document.mesh
+            or len(photos) != len(sent.used)
+            or any(a is not b.photo for a, b in zip(photos, sent.used, strict=True))
+        ):
+            self.worker.send(SetScene(document.mesh, photos))
+            self._scene_sent = document
+
+    def _set(self, **values: Any) -> None:
+        self.session.change(None, rules.setting(**values))
+
+    def _begin_job(self, title: str) -> None:
+        _must_be_idle(self.session.state)
+        self._set(job=Job(title))
+
+    def _end_job(self) -> None:
+        self._set(job=None)
+
+    def _keep(
+        self, name: str, content: bytes, suffixes: tuple[str, ...], what: str
+    ) -> Path:
+        # Only the last part of the name: a path must not leave the folder.
+        plain = name.replace("\\", "/").rpartition("/")[2].strip() or what
+        if Path(plain).suffix.lower() not in suffixes:
+            raise InputError(
+                f"{plain} is not a {what} photoreg reads: the suffix should be one of "
+                f"{', '.join(suffixes)}."
+            )
+        with self._lock:
+            self._upload_count += 1
+            folder = Path(self._uploads.name) / str(self._upload_count)
+        folder.mkdir()
+        path = folder / plain
+        path.write_bytes(content)
+        return path
+
+
+def _must_be_idle(state: State) -> None:
+    if state.run.is_active:
+        raise RefinementError("The refinement is running. Stop it first.")
+    if state.run.status == "review":
+        raise RefinementError("Accept or revert the refinement first.")
+    if state.job is not None:
+        raise RefinementError(f"{state.job.title} is still going on. Wait for its end.")
+
+
+def _view(state: State) -> OverlayView:
+    return OverlayView(state.overlay_style, state.overlay_onto)
+
+
+def _shown_cameras(state: State) -> tuple[Camera, ...]:
+    return tuple(entry.camera for entry in state.photos if entry.enabled)
+
+
+def _ignore(_: str) -> None:
+    """Nobody is there to be told."""

@@ -1,0 +1,112 @@
+"""Small adapters around viser's controls: guarded callbacks, quiet writes, questions."""
+
+import functools
+import logging
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+import viser
+
+from photoreg.errors import PhotoregError
+
+log = logging.getLogger(__name__)
+
+BRAND = (17, 128, 120)
+MESSAGE_SECONDS = 9.0
+
+
+def put(handle: Any, field: str, value: Any) -> None:
+    """Writes a property only if it differs: viser sends every assignment."""
+    if getattr(handle, field) != value:
+        setattr(handle, field, value)
+
+
+def put_value(handle: Any, value: Any) -> None:
+    """Writes an input's value only if it differs."""
+    if handle.value != value:
+        handle.value = value
+
+
+def guarded(
+    callback: Callable[[Any], None],
+) -> Callable[[Any], Coroutine[Any, Any, None]]:
+    """A callback whose errors reach the person who clicked; viser would only print.
+
+    It runs on the event loop, in the order of the clicks, and must be quick. Events
+    without a client are echoes of our own writes and are ignored.
+    """
+
+    @functools.wraps(callback)
+    async def run(event: Any) -> None:
+        _call(callback, event)
+
+    return run
+
+
+def guarded_slow(callback: Callable[[Any], None]) -> Callable[[Any], None]:
+    """The same for callbacks that read or write files: on a thread of viser's pool."""
+
+    @functools.wraps(callback)
+    def run(event: Any) -> None:
+        _call(callback, event)
+
+    return run
+
+
+def _call(callback: Callable[[Any], None], event: Any) -> None:
+    if event.client is None:
+        return
+    try:
+        callback(event)
+    except PhotoregError as error:
+        notify(event.client, "That is not possible", str(error))
+    except Exception:
+        log.exception("%s failed", callback.__qualname__)
+        notify(
+            event.client,
+            "That did not work",
+            "An error nobody foresaw; the terminal has the details.",
+        )
+
+
+def notify(client: viser.ClientHandle, title: str, text: str, bad: bool = True) -> None:
+    """Shows a message to one browser, for some seconds."""
+    client.add_notification(
+        title,
+        text,
+        color="red" if bad else "teal",
+        auto_close_seconds=MESSAGE_SECONDS,
+    )
+
+
+def confirm(
+    client: viser.ClientHandle,
+    title: str,
+    text: str,
+    yes: str,
+    then: Callable[[], None],
+) -> None:
+    """Asks one browser before something is done."""
+    modal = client.gui.add_modal(title)
+    with modal:
+        client.gui.add_markdown(text)
+        do_it = client.gui.add_button(yes, color="red")
+        leave_it = client.gui.add_button("Cancel", color="gray")
+
+    @do_it.on_click
+    @guarded
+    def _(_: viser.GuiEvent) -> None:
+        modal.close()
+        then()
+
+    @leave_it.on_click
+    @guarded
+    def _(_: viser.GuiEvent) -> None:
+        modal.close()
+
+
+def number(text: float, digits: int = 3) -> str:
+    """A number with so many significant digits, without an exponent where possible."""
+    if text == 0 or not 1e-4 <= abs(text) < 1e7:
+        return f"{text:.{digits - 1}e}"
+    return f"{text:.{digits}g}" if abs(text) < 10 ** (digits - 1) else f"{text:,.0f}"

@@ -1,0 +1,96 @@
+"""Starts the app and keeps it running until Ctrl-C."""
+
+import contextlib
+import logging
+import os
+import signal
+import sys
+import threading
+import webbrowser
+from collections.abc import Sequence
+from pathlib import Path
+
+from app.conductor import Conductor
+from app.opening import demo_folder, open_files, open_folder, with_camera_file
+from app.server import Page
+from app.session import Document, Session, State
+
+
+def run_app(
+    files: Sequence[Path] = (),
+    cameras: Path | None = None,
+    *,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    open_browser: bool = True,
+) -> int:
+    """Serves the app until it is interrupted; returns the exit status.
+
+    Args:
+        files: A mesh and photos, or one folder with both; empty for the demo.
+        cameras: Cameras of the photos, a photoreg camera file.
+        host: Address to listen on.
+        port: Port to listen on; the next free one is taken when it is busy.
+        open_browser: Whether to open the page, where there is a browser.
+
+    Raises:
+        InputError: if a file is missing or not valid.
+    """
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
+    document = open_document(files, cameras)
+    session = Session(State(document=document))
+    conductor = Conductor(session)
+    page = Page(session, conductor, host, port)
+    try:
+        if page.port != port and port != 0:
+            _say(f"Port {port} is taken, so photoreg uses {page.port}.")
+        shown = "127.0.0.1" if host in ("", "0.0.0.0") else host
+        address = f"http://{shown}:{page.port}"
+        _say(f"photoreg is at {address} (Ctrl-C ends it).")
+        if open_browser and has_browser():
+            webbrowser.open(address)
+        _wait_for_the_end()
+    finally:
+        page.close()
+        conductor.close()
+    _say("Stopped.")
+    return 0
+
+
+def open_document(files: Sequence[Path], cameras: Path | None) -> Document:
+    """What to open: the demo, a folder, or a mesh with photos."""
+    if not files:
+        document = open_folder(demo_folder())
+    elif len(files) == 1 and Path(files[0]).is_dir():
+        document = open_folder(Path(files[0]))
+    else:
+        return open_files([Path(file) for file in files], cameras)
+    return document if cameras is None else with_camera_file(document, cameras)
+
+
+def has_browser() -> bool:
+    """Whether a browser with a screen can be expected here."""
+    if sys.platform.startswith("linux"):
+        shown = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+        if not shown:
+            return False
+    try:
+        webbrowser.get()
+    except webbrowser.Error:
+        return False
+    return True
+
+
+def _wait_for_the_end() -> None:
+    ended = threading.Event()
+    with contextlib.suppress(ValueError):  # Only the main thread may set this.
+        signal.signal(signal.SIGTERM, lambda *_: ended.set())
+    with contextlib.suppress(KeyboardInterrupt):
+        # In steps: on Windows a wait without end is deaf to Ctrl-C.
+        while not ended.wait(0.5):
+            pass
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()

@@ -1,0 +1,250 @@
+"""The 3-D scene: writes the state into viser's nodes and reads nothing back.
+
+Nodes: /solid (clay or textured model), /clear (the translucent mesh of look-through),
+/cameras (a frustum a photo, and the gizmo). Each browser hides what its own view does
+not want; see viewport.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+import viser
+import viser.transforms as vtf
+
+from app.controls import put
+from app.placement import DisplayFrame
+from app.session import PhotoEntry, State
+from photoreg.camera import Camera
+from photoreg.mesh import Mesh
+
+CLAY = (184, 158, 134)
+SELECTED_COLOUR = (45, 190, 175)
+FRUSTUM_COLOUR = (140, 150, 170)
+GHOST_COLOUR = (120, 120, 130)
+IMAGE_SIDE_PX = 640
+FRUSTUM_WIDTH = 0.62
+"""Diagonal of the photo in a frustum, in page units (the mesh's diagonal is 2)."""
+
+GIZMO_PX = 105.0
+
+
+class Scene:
+    """The shared nodes of the page, kept as the state has them."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self.frame = DisplayFrame()
+        self.gizmo_is_held = False
+        self._mesh: Mesh | None = None
+        self._up: tuple[float, float, float] | None = None
+        self._frusta: list[Frustum] = []
+        self._ghosts: list[viser.LineSegmentsHandle] = []
+        self._texture: object = None
+        self._textured: viser.GlbHandle | None = None
+        self._clay: viser.MeshHandle | None = None
+        self._clear: viser.MeshHandle | None = None
+        scene = server.scene
+        for name in ("/solid", "/clear", "/cameras"):
+            scene.add_frame(name, show_axes=False)
+        self.gizmo = scene.add_transform_controls(
+            "/cameras/gizmo",
+            scale=GIZMO_PX,
+            fixed=True,
+            depth_test=False,
+            line_width=3.0,
+            visible=False,
+        )
+
+    def on_gizmo(self, moved: Callable[[str, np.ndarray, np.ndarray], None]) -> None:
+        """Calls ``moved(phase, R_page_cam, position)`` as the gizmo is dragged."""
+
+        @self.gizmo.on_update
+        async def _(event: viser.TransformControlsEvent) -> None:
+            self.gizmo_is_held = event.phase != "end"
+            rotation = vtf.SO3(event.target.wxyz).as_matrix()
+            moved(event.phase, rotation, np.array(event.target.position))
+
+    def show(self, state: State) -> None:
+        """Makes the nodes as ``state`` has them; sends only what changed."""
+        self._show_mesh(state)
+        self._show_texture(state)
+        self._show_frusta(state)
+        self._show_gizmo(state)
+
+    def _show_mesh(self, state: State) -> None:
+        document = state.document
+        if document.up != self._up:
+            self._up = document.up
+            self._server.scene.set_up_direction(document.up)
+        if document.display_mesh is not self._mesh:
+            self._mesh = document.display_mesh
+            for node in (self._clay, self._clear):
+                if node is not None:
+                    node.remove()
+            self._clay = self._clear = None
+            if self._mesh is not None and document.mesh is not None:
+                self.frame = DisplayFrame.of(document.mesh)
+                vertices = self.frame.to_page(self._mesh.vertices)
+                self._clay = self._server.scene.add_mesh_simple(
+                    "/solid/clay", vertices, self._mesh.faces, color=CLAY, side="double"
+                )
+                self._clear = self._server.scene.add_mesh_simple(
+                    "/clear/clay",
+                    vertices,
+                    self._mesh.faces,
+                    color=CLAY,
+                    side="double",
+                    opacity=state.mesh_opacity,
+                    cast_shadow=False,
+                )
+        if self._clear is not None:
+            put(self._clear, "opacity", state.mesh_opacity)
+
+    def _show_texture(self, state: State) -> None:
+        if state.texture is not self._texture:
+            self._texture = state.texture
+            if self._textured is not None:
+                self._textured.remove()
+                self._textured = None
+            if state.texture is not None:
+                self._textured = self._server.scene.add_glb(
+                    "/solid/textured", state.texture.glb
+                )
+        textured = self._textured is not None and state.show_texture
+        if self._textured is not None:
+            put(self._textured, "visible", textured)
+        if self._clay is not None:
+            put(self._clay, "visible", not textured)
+
+    def _show_frusta(self, state: State) -> None:
+        photos = state.photos
+        while len(self._frusta) > len(photos):
+            self._frusta.pop().remove()
+        for i, entry in enumerate(photos):
+            if i == len(self._frusta):
+                self._frusta.append(Frustum(self._server, f"/cameras/{i}"))
+            self._frusta[i].show(entry, self.frame, i == state.selected)
+        starts = state.run.start if state.run.status != "idle" else ()
+        self._show_ghosts(starts)
+
+    def _show_ghosts(self, cameras: tuple[Camera, ...]) -> None:
+        """Thin outlines where the cameras were when the refinement started."""
+        if len(cameras) == len(self._ghosts):
+            return
+        for ghost in self._ghosts:
+            ghost.remove()
+        self._ghosts = []
+        for i, camera in enumerate(cameras):
+            rotation, position = self.frame.pose(camera)
+            corners = frustum_corners(camera) @ rotation.T + position
+            self._ghosts.append(
+                self._server.scene.add_line_segments(
+                    f"/cameras/start-{i}",
+                    frustum_lines(position, corners),
+                    colors=GHOST_COLOUR,
+                    thickness=1.0,
+                    thickness_units="screen",
+                )
+            )
+
+    def _show_gizmo(self, state: State) -> None:
+        entry = state.selected_photo
+        visible = entry is not None and state.run.status == "idle"
+        put(self.gizmo, "visible", visible)
+        if entry is None or self.gizmo_is_held:
+            return  # The hand that drags it is ahead of the state.
+        rotation, position = self.frame.pose(entry.camera)
+        self.gizmo.wxyz = vtf.SO3.from_matrix(rotation).wxyz
+        self.gizmo.position = position
+
+
+class Frustum:
+    """One photo in the scene: lines from the camera's centre, and the photo itself.
+
+    Made from K by hand; viser's own frustum has no principal point.
+    """
+
+    def __init__(self, server: viser.ViserServer, name: str) -> None:
+        self._scene = server.scene
+        self._name = name
+        self._root = server.scene.add_frame(name, show_axes=False)
+        self._lines: viser.LineSegmentsHandle | None = None
+        self._image: viser.ImageHandle | None = None
+        self._photo: object = None
+        self._K: np.ndarray | None = None
+
+    def show(self, entry: PhotoEntry, frame: DisplayFrame, selected: bool) -> None:
+        """Makes the nodes as ``entry`` has them."""
+        camera = entry.camera
+        rotation, position = frame.pose(camera)
+        self._root.wxyz = vtf.SO3.from_matrix(rotation).wxyz
+        self._root.position = position
+        if (
+            self._photo is not entry.photo
+            or self._K is None
+            or not np.array_equal(self._K, camera.K)
+        ):
+            self._draw(entry)
+        assert self._lines is not None
+        assert self._image is not None
+        colour = SELECTED_COLOUR if selected else FRUSTUM_COLOUR
+        if not np.array_equal(self._lines.colors, colour):
+            self._lines.colors = np.array(colour, dtype=np.uint8)
+        put(self._lines, "thickness", 3.0 if selected else 1.6)
+        put(self._image, "visible", entry.enabled)
+
+    def _draw(self, entry: PhotoEntry) -> None:
+        camera = entry.camera
+        corners = frustum_corners(camera)
+        lines = frustum_lines(np.zeros(3), corners)
+        width = float(np.linalg.norm(corners[1] - corners[0]))
+        height = float(np.linalg.norm(corners[3] - corners[0]))
+        centre = corners.mean(axis=0)
+        if self._lines is None:
+            self._lines = self._scene.add_line_segments(
+                f"{self._name}/lines",
+                lines,
+                colors=FRUSTUM_COLOUR,
+                thickness=1.6,
+                thickness_units="screen",
+            )
+        else:
+            self._lines.points = lines.astype(np.float32)
+        if self._photo is not entry.photo or self._image is None:
+            self._image = self._scene.add_image(
+                f"{self._name}/photo",
+                entry.photo.resized(IMAGE_SIDE_PX).pixels,
+                width,
+                height,
+                format="jpeg",
+                jpeg_quality=85,
+                cast_shadow=False,
+                receive_shadow=False,
+                position=centre,
+            )
+        else:
+            self._image.render_width = width
+            self._image.render_height = height
+            self._image.position = centre
+        self._photo, self._K = entry.photo, camera.K
+
+    def remove(self) -> None:
+        """Takes the nodes out of the scene."""
+        self._root.remove()
+
+
+def frustum_corners(camera: Camera) -> np.ndarray:
+    """Corners of the photo in camera axes, (4, 3), in page units, from top left."""
+    right, bottom = camera.width - 0.5, camera.height - 0.5
+    pixels = np.array(
+        [[-0.5, -0.5, 1], [right, -0.5, 1], [right, bottom, 1], [-0.5, bottom, 1]]
+    )
+    corners = pixels @ np.linalg.inv(camera.K).T
+    return corners * (FRUSTUM_WIDTH / np.linalg.norm(corners[2] - corners[0]))
+
+
+def frustum_lines(apex: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Segments (8, 2, 3): apex to each corner, and around the corners."""
+    spokes = [[apex, corner] for corner in corners]
+    sides = [[corners[i], corners[(i + 1) % 4]] for i in range(4)]
+    return np.array(spokes + sides)

@@ -1,0 +1,274 @@
+"""The page: a viser server, its panels and scene, and one thread that paints them.
+
+Callbacks change the session; the painter alone writes to viser, newest state first,
+so that nothing flickers however fast the changes come.
+"""
+
+import contextlib
+import functools
+import html
+import http
+import io
+import logging
+import threading
+from collections.abc import Callable
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+import viser
+import websockets.asyncio.server as websocket_server
+from websockets.asyncio.server import ServerConnection
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+from app.conductor import Conductor
+from app.controls import BRAND, guarded, notify, put
+from app.panel_align import AlignPanel
+from app.panel_data import DataPanel
+from app.panel_export import ExportPanel
+from app.panel_refine import OverlayPanel, RefinePanel
+from app.scene import Scene
+from app.session import Session, State, with_entry
+from app.viewport import Viewport, backdrop
+
+log = logging.getLogger(__name__)
+
+PAINT_PERIOD_S = 1 / 30
+LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
+
+
+class Page:
+    """The running app: everything between the session and the browsers."""
+
+    def __init__(
+        self,
+        session: Session,
+        conductor: Conductor,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        shadows: bool = True,
+    ) -> None:
+        self.session = session
+        self.conductor = conductor
+        self.server = start_viser(host, port)
+        self._dark: bool | None = None
+        self._viewports: dict[int, Viewport] = {}
+        self._drag = 0
+        self._wake = threading.Event()
+        self._closed = False
+        self.server.scene.configure_default_lights(cast_shadow=shadows)
+        self.scene = Scene(self.server)
+        self.scene.on_gizmo(self._on_gizmo)
+        self._build()
+        session.listen(lambda *_: self._wake.set())
+        conductor.on_picture = self._wake.set
+        conductor.on_problem = self._tell_everybody
+        self.server.on_client_connect(self._on_connect)
+        self.server.on_client_disconnect(self._on_disconnect)
+        self._paint()
+        self._painter = threading.Thread(target=self._paint_on, daemon=True)
+        self._painter.start()
+        self._wake.set()
+
+    @property
+    def port(self) -> int:
+        """The port it listens on."""
+        return self.server.get_port()
+
+    def viewport(self, client_id: int) -> Viewport | None:
+        """The view of one browser."""
+        return self._viewports.get(client_id)
+
+    def close(self) -> None:
+        """Stops serving."""
+        self._closed = True
+        self._wake.set()
+        self._painter.join(timeout=5.0)
+        self.server.stop()
+
+    def _build(self) -> None:
+        gui = self.server.gui
+        gui.set_panel_label("photoreg")
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(324)
+        self._status = gui.add_html("")
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("1 Data"):
+            data = DataPanel(gui, self.conductor)
+        with tabs.add_tab("2 Align"):
+            align = AlignPanel(gui, self.conductor, self.viewport)
+        with tabs.add_tab("3 Refine"):
+            refine = RefinePanel(gui, self.conductor)
+        with tabs.add_tab("4 Export"):
+            export = ExportPanel(gui, self.conductor)
+        left = gui.add_panel()
+        with left.add_tab("Overlay", viser.Icon.LAYERS_INTERSECT):
+            overlay = OverlayPanel(gui, self.conductor)
+        left.dock_left()
+        left.set_width(350)
+        self._panels = (data, align, refine, export, overlay)
+        self._command("Undo", "cmd/ctrl", self.session.undo)
+        self._command("Redo", "cmd/ctrl+shift", self.session.redo)
+
+    def _command(
+        self, label: str, modifier: Any, action: Callable[[], str | None]
+    ) -> None:
+        command = self.server.gui.add_command(label, hotkey="Z", modifier=modifier)
+
+        @command.on_trigger
+        @guarded
+        def _(event: viser.CommandEvent) -> None:
+            name = action()
+            if event.client is not None and name is None:
+                notify(
+                    event.client, label, f"There is nothing to {label.lower()}.", False
+                )
+
+    # Painting.
+
+    def _paint_on(self) -> None:
+        while True:
+            self._wake.wait()
+            self._wake.clear()
+            if self._closed:
+                return
+            try:
+                self._paint()
+            except Exception:
+                log.exception("The page could not be painted")
+            threading.Event().wait(PAINT_PERIOD_S)
+
+    def _paint(self) -> None:
+        state = self.session.state
+        with self.server.atomic():
+            if state.dark != self._dark:
+                self._dark = state.dark
+                self._theme(state.dark)
+                self.server.scene.set_background_image(backdrop(state.dark))
+            self.scene.show(state)
+            put(self._status, "content", status_line(state))
+            for panel in self._panels:
+                panel.show(state)
+        for viewport in list(self._viewports.values()):
+            viewport.show(state)
+
+    def _theme(self, dark: bool) -> None:
+        self.server.gui.configure_theme(
+            dark_mode=dark,
+            brand_color=BRAND,
+            show_logo=False,
+            show_share_button=False,
+        )
+
+    # What browsers do.
+
+    def _on_connect(self, client: viser.ClientHandle) -> None:
+        viewport = Viewport(client, self.session, self.scene)
+        self._viewports[client.client_id] = viewport
+        viewport.show(self.session.state)
+
+    def _on_disconnect(self, client: viser.ClientHandle) -> None:
+        self._viewports.pop(client.client_id, None)
+
+    def _on_gizmo(self, phase: str, rotation: np.ndarray, position: np.ndarray) -> None:
+        if phase == "start":
+            self._drag += 1
+        state = self.session.state
+        entry, index = state.selected_photo, state.selected
+        if entry is None or state.run.status != "idle":
+            return
+        camera = self.scene.frame.with_pose(entry.camera, rotation, position)
+        self.session.change(
+            f"Move camera {index + 1}",
+            with_entry(index, camera=camera),
+            ("gizmo", self._drag),
+        )
+        if phase == "end":
+            self._wake.set()
+
+    def _tell_everybody(self, sentence: str) -> None:
+        for client in self.server.get_clients().values():
+            notify(client, "That did not work", sentence)
+
+
+def status_line(state: State) -> str:
+    """What is going on, in one line that is always on screen."""
+    run = state.run
+    if state.job is not None:
+        colour, text = "#e8a33d", f"{state.job.title} …"
+    elif run.is_active:
+        colour, text = "#e8a33d", f"Refining: {run.step or 'starting'}"
+    elif run.status == "review":
+        colour, text = "#2dbeaf", "Refined. Accept or revert in tab 3."
+    elif state.document.mesh is None:
+        colour, text = "#98a2b3", "Load a mesh to begin."
+    elif state.worker:
+        colour, text = "#98a2b3", f"{state.worker} …"
+    else:
+        colour, text = "#2dbeaf", state.note or "Ready."
+    return (
+        '<div style="display:flex;align-items:center;gap:8px;margin:10px 12px 8px;'
+        'font-size:13px;line-height:1.3"><span style="width:9px;height:9px;'
+        f'border-radius:50%;background:{colour};flex:none"></span>'
+        f'<span style="overflow:hidden;text-overflow:ellipsis">{html.escape(text)}</span>'
+        "</div>"
+    )
+
+
+def start_viser(host: str, port: int) -> viser.ViserServer:
+    """A viser server that answers only pages of its own origin.
+
+    viser checks neither Origin nor Host: any page in the same browser could drive a
+    server on this machine. The websocket library's handshake hook is the one seam.
+    """
+    serve = websocket_server.serve
+
+    def serve_checked(*args: Any, process_request: Any = None, **kwargs: Any) -> Any:
+        hook = functools.partial(check_request, process_request, host)
+        return serve(*args, process_request=hook, **kwargs)
+
+    websocket_server.serve = serve_checked
+    try:
+        # viser prints a banner of its own; the app says where it is.
+        with contextlib.redirect_stdout(io.StringIO()):
+            return viser.ViserServer(host=host, port=port, verbose=False)
+    finally:
+        websocket_server.serve = serve
+
+
+def check_request(
+    following: Callable[[ServerConnection, Request], Response | None] | None,
+    bound_host: str,
+    connection: ServerConnection,
+    request: Request,
+) -> Response | None:
+    """Refuses foreign pages with 403; passes everything else on."""
+    host = request.headers.get("Host", "")
+    if bound_host in LOOPBACK_NAMES and _name(host) not in LOOPBACK_NAMES:
+        # A foreign name that was made to resolve to this machine.
+        return _forbidden(f"This server is for this machine, not for {host}.")
+    origin = request.headers.get("Origin")
+    if request.headers.get("Upgrade", "").lower() == "websocket" and (
+        origin is None or urlsplit(origin).netloc != host
+    ):
+        return _forbidden("Pages of another origin may not connect.")
+    return following(connection, request) if following is not None else None
+
+
+def _name(host: str) -> str:
+    if host.startswith("["):
+        return host.partition("]")[0] + "]"
+    return host.partition(":")[0]
+
+
+def _forbidden(text: str) -> Response:
+    body = (text + "\n").encode()
+    headers = Headers(
+        {
+            "Content-Type": "text/plain; charset=utf-8",
+            "Content-Length": str(len(body)),
+            "Connection": "close",
+        }
+    )
+    return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", headers, body)

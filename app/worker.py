@@ -1,0 +1,147 @@
+"""The app's end of the worker process: start it, send jobs, pump its events, outlive it.
+
+Compute has one owner. Numba's thread pool aborts the program when two threads set off
+parallel kernels, and viser calls back from 32 threads; so files are read, cameras
+refined and textures baked in one spawned process, and the page stays quick.
+"""
+
+import contextlib
+import logging
+import multiprocessing
+import queue
+import threading
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+
+from app.messages import Died, Event, Job, Live, Picture, Stop
+
+log = logging.getLogger(__name__)
+
+MAX_QUICK_DEATHS = 3
+"""Deaths in a row without a single event after which no new process is started."""
+
+
+class Worker:
+    """A warm worker process. Events arrive on a thread of this object, in order.
+
+    When the process dies (killed, out of memory) the pipe ends at once: ``Died`` is
+    reported and a new process is started.
+    """
+
+    def __init__(self, on_event: Callable[[Event], None], warm_up: bool = True) -> None:
+        self._on_event = on_event
+        self._warm_up = warm_up
+        self._lock = threading.Lock()
+        self._closed = False
+        self._deaths_in_a_row = 0
+        self._context = multiprocessing.get_context("spawn")
+        self._jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
+        self._start()
+
+    @property
+    def pid(self) -> int | None:
+        """The process's id."""
+        return self._process.pid
+
+    def send(self, *jobs: Job) -> None:
+        """Queues jobs; returns at once, however busy the process is."""
+        with self._lock:
+            for job in jobs:
+                self._jobs.put(job)
+
+    def stop_refinement(self) -> None:
+        """Asks the running refinement to end and report its best."""
+        self.send(Stop())
+
+    def close(self) -> None:
+        """Ends the process; no event arrives afterwards."""
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+            self._jobs.put(None)
+            process, connection = self._process, self._connection
+        process.terminate()
+        process.join(timeout=5.0)
+        if process.is_alive():
+            process.kill()
+            process.join()
+        with contextlib.suppress(OSError):
+            connection.close()
+
+    def _start(self) -> None:
+        ours, theirs = self._context.Pipe()
+        process = self._context.Process(
+            target=_enter, args=(theirs, self._warm_up), daemon=True
+        )
+        process.start()
+        # Only while the child alone holds its end does its death end the pipe.
+        theirs.close()
+        jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
+        self._process, self._connection, self._jobs = process, ours, jobs
+        threading.Thread(
+            target=self._send_jobs, args=(ours, jobs), daemon=True, name="worker jobs"
+        ).start()
+        threading.Thread(
+            target=self._pump_events, args=(ours,), daemon=True, name="worker events"
+        ).start()
+
+    def _send_jobs(
+        self, connection: Connection, jobs: queue.SimpleQueue[Job | None]
+    ) -> None:
+        # A pipe holds 64 KB; a mesh waits here, not in the callback that sends it.
+        while (job := jobs.get()) is not None:
+            try:
+                connection.send(job)
+            except (OSError, ValueError):
+                return
+
+    def _pump_events(self, connection: Connection) -> None:
+        while True:
+            try:
+                events = [connection.recv()]
+                while connection.poll(0):
+                    events.append(connection.recv())
+            except (EOFError, OSError):
+                break
+            self._deaths_in_a_row = 0
+            for event in newest(events):
+                self._report(event)
+        self._bury()
+
+    def _report(self, event: Event) -> None:
+        if self._closed:
+            return
+        try:
+            self._on_event(event)
+        except Exception:
+            log.exception("%s was not handled", type(event).__name__)
+
+    def _bury(self) -> None:
+        self._process.join(timeout=5.0)
+        with self._lock:
+            if self._closed:
+                return
+            self._jobs.put(None)
+            self._deaths_in_a_row += 1
+            exit_code = self._process.exitcode
+            if self._deaths_in_a_row <= MAX_QUICK_DEATHS:
+                self._start()
+        self._report(Died(exit_code))
+
+
+def _enter(connection: Connection, warm_up: bool) -> None:
+    # In the child only: engine and compiler take seconds, and the page does without.
+    from app.worker_process import run_worker  # noqa: PLC0415
+
+    run_worker(connection, warm_up)
+
+
+def newest(events: list[Event]) -> list[Event]:
+    """Leaves of the passing events (progress, pictures) only the last of each kind."""
+    last = {type(event): i for i, event in enumerate(events)}
+    return [
+        event
+        for i, event in enumerate(events)
+        if not isinstance(event, Live | Picture) or last[type(event)] == i
+    ]

@@ -1,0 +1,108 @@
+"""Drives the page as a person would: waits for frames and states, never for time."""
+
+import time
+from collections.abc import Callable
+
+from playwright.sync_api import Browser, Page, Playwright
+
+from tests.browser.ensure_chromium import find_chromium
+
+FLAGS = [
+    "--headless=new",
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+]
+"""Software WebGL, said explicitly: no test may depend on a graphics card."""
+
+_WAIT_FRAMES = """n => new Promise(done => {
+  const m = __viserMutable, info = __viserTestpoints.rendererInfo.render;
+  const first = info.frame;
+  const look = () => {
+    m.requestRender();
+    (info.frame - first >= n && !m.messageQueue.length) ? done() : setTimeout(look, 20);
+  };
+  look();
+})"""
+
+
+class NoChromiumError(RuntimeError):
+    """There is no Chromium to test with."""
+
+
+def launch(playwright: Playwright) -> Browser:
+    """Chromium with software WebGL: the system's, or playwright's own."""
+    path = find_chromium()
+    if path is None:
+        raise NoChromiumError(
+            "The browser tests need Chromium: install Debian's package `chromium`, or "
+            "run `playwright install chromium`."
+        )
+    return playwright.chromium.launch(executable_path=path, args=FLAGS)
+
+
+def wait_until(
+    happened: Callable[[], object], what: str, timeout_s: float = 60.0
+) -> None:
+    """Polls until ``happened()`` is true; fails with ``what`` after the timeout."""
+    deadline = time.monotonic() + timeout_s
+    while not happened():
+        if time.monotonic() > deadline:
+            raise AssertionError(f"Waited {timeout_s:g} s in vain: {what}.")
+        time.sleep(0.02)
+
+
+class Driver:
+    """One browser page on the app."""
+
+    def __init__(self, page: Page, address: str) -> None:
+        self.page = page
+        page.goto(f"{address}/?fixedDpr=1")
+        page.wait_for_function(
+            "() => window.__viserMutable?.requestRender"
+            " && window.__viserTestpoints?.rendererInfo",
+            timeout=60_000,
+        )
+        page.get_by_role("tab", name="1 Data").wait_for(timeout=60_000)
+        self.frames(3)
+
+    def frames(self, n: int = 3) -> None:
+        """Waits until ``n`` more frames are drawn and all messages are handled."""
+        self.page.evaluate(_WAIT_FRAMES, n)
+
+    def dismiss_toasts(self) -> None:
+        """Closes the messages at the top left (software WebGL brings one)."""
+        buttons = self.page.locator(".mantine-Notification-closeButton")
+        while buttons.count():
+            buttons.first.click()
+            self.page.wait_for_timeout(250)
+
+    def tab(self, name: str) -> None:
+        """Opens a tab."""
+        self.page.get_by_role("tab", name=name).click()
+
+    def click(self, button: str) -> None:
+        """Clicks a button by its exact label."""
+        self.page.get_by_role("button", name=button, exact=True).click()
+
+    def canvas(self) -> dict[str, float]:
+        """Position and size of the 3-D canvas in the window."""
+        return self.page.evaluate(
+            "() => { const r = document.querySelector('canvas')"
+            ".getBoundingClientRect(); return {x: r.x, y: r.y, width: r.width,"
+            " height: r.height}; }"
+        )
+
+    def drag(self, start: tuple[float, float], way: tuple[float, float]) -> None:
+        """Presses at ``start`` (window pixels), moves by ``way`` and releases."""
+        mouse = self.page.mouse
+        mouse.move(*start)
+        self.frames(2)
+        mouse.down()
+        self.frames(1)
+        for i in range(1, 6):
+            mouse.move(start[0] + way[0] * i / 5, start[1] + way[1] * i / 5)
+            self.frames(1)
+        mouse.up()
+        self.frames(2)
