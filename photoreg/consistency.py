@@ -14,8 +14,10 @@ from photoreg.colour import ColourSpace, convert
 from photoreg.errors import InputError
 from photoreg.genes import GeneMap, Poses
 from photoreg.kernels import population_costs
+from photoreg.kernels_patches import population_mncc
+from photoreg.mesh import Mesh
 from photoreg.photo import Photo
-from photoreg.sampling import SurfaceSamples
+from photoreg.sampling import SurfaceSamples, surface_patches
 
 CostName = Literal["ssd", "trimmed_squares", "alpha_trimmed", "variance", "mncc"]
 
@@ -49,7 +51,21 @@ class ConsistencyConfig:
     blur_px: float = 0.0
     """Sigma of a Gaussian blur of the reduced photos, in their pixels, 0 or more."""
 
+    patch_side: int = 5
+    """Points along a side of an mncc patch, odd, at least 3."""
+    patch_step_px: float = 2.0
+    """Distance between the points of an mncc patch, in pixels of the reduced photos,
+    above 0."""
+
     def __post_init__(self) -> None:
+        if self.patch_side < 3 or self.patch_side % 2 == 0:
+            raise InputError(
+                f"patch_side is {self.patch_side}; give an odd number, at least 3."
+            )
+        if not 0.0 < self.patch_step_px < np.inf:
+            raise InputError(
+                f"patch_step_px is {self.patch_step_px}; give a number above 0."
+            )
         if not 0.0 <= self.alpha < 0.5:
             raise InputError(f"alpha is {self.alpha}; give a share in [0, 0.5).")
         if not 0.0 <= self.min_cosine < 1.0:
@@ -124,11 +140,20 @@ class PhotoConsistency:
         photos: Sequence[Photo],
         config: ConsistencyConfig | None = None,
         allowed: Bool[np.ndarray, "m n"] | None = None,
+        patches: Float[np.ndarray, "n q 3"] | None = None,
     ) -> None:
-        """``allowed``: samples each photo may show (the others are known hidden).
+        """Binds samples and photos.
+
+        Args:
+            samples: Points on the surface.
+            photos: Two or more.
+            config: How they are compared; None: the defaults.
+            allowed: Samples each photo may show; the others are known to be hidden.
+            patches: Points around each sample, for the mncc cost only; see
+                ``patches_of``.
 
         Raises:
-            InputError: with fewer than two photos.
+            InputError: with fewer than two photos, or mncc without patches.
         """
         if len(photos) < 2:
             raise InputError(
@@ -146,6 +171,11 @@ class PhotoConsistency:
         self._points = np.ascontiguousarray(
             np.column_stack([scaled, samples.normals, along]).T, dtype=np.float32
         )
+        self._patches = None
+        if self.config.cost == "mncc":
+            if patches is None:
+                raise InputError("The mncc cost compares patches; give their points.")
+            self._patches = ((patches - self._origin) / self._scale).astype(np.float32)
         self._allowed = np.ones((len(photos), len(samples)), dtype=np.uint8)
         if allowed is not None:
             self.allow(allowed)
@@ -178,6 +208,20 @@ class PhotoConsistency:
     def _evaluate(self, poses: Poses) -> tuple[np.ndarray, np.ndarray]:
         config = self.config
         projections, centers = self._normalised(poses)
+        n_chunks = min(len(projections), 4 * nb.get_num_threads())
+        if self._patches is not None:
+            return population_mncc(
+                self._points,
+                self._patches,
+                projections,
+                centers,
+                self._allowed,
+                self.stack.pixels,
+                self.stack.layouts,
+                config.min_cosine,
+                self.min_samples,
+                n_chunks,
+            )
         low_share, high_share = config.trimmed_shares
         return population_costs(
             self._points,
@@ -193,7 +237,7 @@ class PhotoConsistency:
             config.cost == "variance",
             config.exposure,
             self.min_samples,
-            min(len(projections), 4 * nb.get_num_threads()),
+            n_chunks,
         )
 
     def _normalised(self, poses: Poses) -> tuple[np.ndarray, np.ndarray]:
@@ -214,6 +258,23 @@ class PhotoConsistency:
             np.ascontiguousarray(projections, dtype=np.float32),
             np.ascontiguousarray(centers, dtype=np.float32),
         )
+
+
+def patches_of(
+    mesh: Mesh,
+    samples: SurfaceSamples,
+    cameras: Sequence[Camera],
+    config: ConsistencyConfig,
+) -> Float[np.ndarray, "n q 3"]:
+    """The patches of the mncc cost: ``patch_step_px`` apart as these cameras see them."""
+    steps = []
+    for camera in cameras:
+        reduction = min(1.0, config.max_side_px / max(camera.width, camera.height))
+        depth = np.abs(camera.to_camera(samples.points)[:, 2])
+        steps.append(config.patch_step_px * depth / (camera.focal_px * reduction))
+    return surface_patches(
+        mesh, samples, np.median(np.array(steps), axis=0), config.patch_side
+    )
 
 
 def _poses_of(cameras: Sequence[Camera]) -> Poses:

@@ -127,7 +127,8 @@ def evolve(
     """Minimises ``costs`` over [-1, 1]^g; yields after each generation.
 
     Args:
-        costs: (p, g) genes to (p,) costs. NaN counts as +inf, so it never wins.
+        costs: (p, g) genes to (p,) costs. NaN counts as +inf, so it never wins. It
+            may change from one restart to the next: the best is then valued anew.
         first_population: How many, and a random source, to that many individuals.
         config: Settings.
         seed: Same seed, same search.
@@ -144,6 +145,8 @@ def evolve(
             genes[0] = best_genes
         cost = _finite(costs(genes))
         evaluations += len(genes)
+        if best_genes is not None:
+            best_cost = float(cost[0])
         unchanged = 0
         for generation in range(config.generations + 1):
             before = best_cost

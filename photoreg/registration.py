@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from photoreg.camera import Camera
-from photoreg.consistency import ConsistencyConfig, PhotoConsistency
+from photoreg.consistency import ConsistencyConfig, PhotoConsistency, patches_of
 from photoreg.errors import InputError, RefinementError
 from photoreg.genes import CameraModel, Coordinates, GeneBox, GeneMap
 from photoreg.genetic import Generation, GeneticConfig, evolve
@@ -216,7 +216,10 @@ def _run(
     yield Progress("prepare", "getting ready", 0.0, 0, 0, np.inf, np.inf, 0.0, start)
     samples = _samples(mesh, start, config)
     warnings = _view_warnings(mesh, photos, start)
-    consistency = PhotoConsistency(samples, photos, config.consistency)
+    patches = None
+    if config.consistency.cost == "mncc":
+        patches = patches_of(mesh, samples, start, config.consistency)
+    consistency = PhotoConsistency(samples, photos, config.consistency, patches=patches)
     gene_map = GeneMap(
         start, mesh.centroid, config.box, config.camera_model, config.coordinates
     )

@@ -68,3 +68,45 @@ def sample_surface(mesh: Mesh, n_samples: int, seed: int) -> SurfaceSamples:
     normals[flat] = mesh.face_normals[face_index[flat]]
     normals[~flat] /= lengths[~flat, None]
     return SurfaceSamples(points, normals, face_index)
+
+
+def surface_patches(
+    mesh: Mesh,
+    samples: SurfaceSamples,
+    step: Float[np.ndarray, "n"],
+    side: int,
+) -> Float[np.ndarray, "n q 3"]:
+    """A small grid of surface points around each sample, q = side * side.
+
+    The grid lies in the tangent plane and is carried onto the surface along the
+    normal; where there is no surface within two steps it stays in the plane.
+
+    Args:
+        mesh: The surface.
+        samples: Middles of the patches, on ``mesh``.
+        step: Distance between neighbours of each grid, in model units.
+        side: Points along a side, odd, at least 3.
+
+    Raises:
+        InputError: if ``side`` is even or below 3.
+    """
+    if side < 3 or side % 2 == 0:
+        raise InputError(f"A patch has {side} points a side; give an odd number >= 3.")
+    normals = samples.normals
+    # Any axis that is not along the normal starts the tangent frame.
+    least = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
+    right = np.cross(normals, least)
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    up = np.cross(normals, right)
+    ticks = np.arange(side) - side // 2
+    across, along = (grid.ravel() for grid in np.meshgrid(ticks, ticks))
+    plane = samples.points[:, None] + step[:, None, None] * (
+        across[None, :, None] * right[:, None] + along[None, :, None] * up[:, None]
+    )
+    reach = 2.0 * step[:, None, None]
+    origins = plane + reach * normals[:, None]
+    downward = np.broadcast_to(-normals[:, None], plane.shape)
+    _, distance = mesh.first_hits(origins.reshape(-1, 3), downward.reshape(-1, 3))
+    distance = distance.reshape(len(samples), -1, 1)
+    found = distance <= 2.0 * reach
+    return np.where(found, origins + np.where(found, distance, 0.0) * downward, plane)

@@ -8,9 +8,17 @@ from jaxtyping import Bool
 
 from photoreg.camera import Camera
 from photoreg.mesh import Mesh
+from photoreg.raster import render_geometry
 from photoreg.sampling import SurfaceSamples
 
 VisibilityMethod = Literal["normals", "rays", "depth"]
+
+TOLERANCE = 1e-3
+"""How far behind what hides it a point may lie and still be seen, relative to the
+mesh's diagonal: its own face must not hide it."""
+
+DEPTH_WIDTH_PX = 1024
+"""Width of the depth buffer: finer only resolves what the tolerance forgives."""
 
 
 def visible(
@@ -42,7 +50,35 @@ def visible(
         # NaN, behind the camera, compares as outside.
         seen = facing & camera.contains(camera.project(samples.points))
         if method != "normals" and seen.any():
-            free = mesh.is_unoccluded(samples.points[seen], camera.center)
+            test = _free_of_rays if method == "rays" else _free_in_depth
+            free = test(samples.points[seen], camera, mesh)
             seen[np.flatnonzero(seen)[~free]] = False
         rows.append(seen)
     return np.array(rows)
+
+
+def _free_of_rays(points: np.ndarray, camera: Camera, mesh: Mesh) -> np.ndarray:
+    return mesh.is_unoccluded(points, camera.center, TOLERANCE)
+
+
+def _free_in_depth(points: np.ndarray, camera: Camera, mesh: Mesh) -> np.ndarray:
+    """Whether points, all in frame, are no deeper than the four pixels around them.
+
+    The farthest of the four counts: across a slanted face depth changes from pixel to
+    pixel, and the point lies between.
+    """
+    buffer = render_geometry(mesh, camera, min(camera.width, DEPTH_WIDTH_PX))
+    pixels = buffer.camera.project(points)
+    height, width = buffer.depth.shape
+    column = np.clip(np.floor(pixels[:, 0]).astype(int), 0, max(width - 2, 0))
+    row = np.clip(np.floor(pixels[:, 1]).astype(int), 0, max(height - 2, 0))
+    farthest = np.full(len(points), -np.inf)
+    for down in (0, 1):
+        for right in (0, 1):
+            around = buffer.depth[
+                np.minimum(row + down, height - 1),
+                np.minimum(column + right, width - 1),
+            ]
+            farthest = np.maximum(farthest, around)
+    depth = camera.to_camera(points)[:, 2]
+    return depth <= farthest + TOLERANCE * mesh.diagonal
