@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable
 
+import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -48,25 +49,74 @@ def surface_hits(
     face, _ = mesh.first_hits(np.broadcast_to(origin, directions.shape), directions)
     met = face >= 0
     face, rays = face[met], directions[met]
-    corners = mesh.faces[face]
-    a = mesh.vertices[corners[:, 0]]
-    edge_1 = mesh.vertices[corners[:, 1]] - a
-    edge_2 = mesh.vertices[corners[:, 2]] - a
-    # Moeller and Trumbore, "Fast, minimum storage ray/triangle intersection", 1997.
-    p = np.cross(rays, edge_2)
-    determinant = np.einsum("nd,nd->n", edge_1, p)
-    determinant[determinant == 0.0] = np.inf  # Edge on: take the first corner.
-    from_a = origin - a
-    u = np.einsum("nd,nd->n", from_a, p) / determinant
-    v = np.einsum("nd,nd->n", rays, np.cross(from_a, edge_1)) / determinant
-    # Within float32 of an edge the exact ray may miss the face by a hair.
-    u = np.clip(u, 0.0, 1.0)
-    v = np.clip(v, 0.0, 1.0 - u)
-    points = a + u[:, None] * edge_1 + v[:, None] * edge_2
-    weights = np.column_stack([1.0 - u - v, u, v])
-    normals = np.einsum("nc,ncd->nd", weights, mesh.vertex_normals[corners])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    points, normals, weights = _locate(
+        origin, rays, face, mesh.faces, mesh.vertices, mesh.vertex_normals
+    )
     return met, Hits(points, normals, rays, face, weights)
+
+
+@nb.njit(nogil=True, cache=True)
+def _directions(pixels, to_world):  # noqa: ANN001, ANN202
+    """`Camera.rays` without BLAS, whose threads cost more than so thin a product."""
+    rays = np.zeros((len(pixels), 3))
+    for i in range(len(pixels)):
+        x, y = pixels[i, 0], pixels[i, 1]
+        dx = to_world[0, 0] * x + to_world[0, 1] * y + to_world[0, 2]
+        dy = to_world[1, 0] * x + to_world[1, 1] * y + to_world[1, 2]
+        dz = to_world[2, 0] * x + to_world[2, 1] * y + to_world[2, 2]
+        length = np.sqrt(dx * dx + dy * dy + dz * dz)
+        rays[i, 0], rays[i, 1], rays[i, 2] = dx / length, dy / length, dz / length
+    return rays
+
+
+@nb.njit(nogil=True, cache=True)
+def _locate(origin, rays, face, faces, vertices, vertex_normals):  # noqa: ANN001, ANN202
+    """Points, unit normals and barycentric weights where rays meet their faces.
+
+    Moeller and Trumbore, "Fast, minimum storage ray/triangle intersection", 1997.
+    """
+    n = len(face)
+    points = np.zeros((n, 3))
+    normals = np.zeros((n, 3))
+    weights = np.zeros((n, 3))
+    for i in range(n):
+        corners = faces[face[i]]
+        a, b, c = vertices[corners[0]], vertices[corners[1]], vertices[corners[2]]
+        ray = rays[i]
+        e1x, e1y, e1z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        e2x, e2y, e2z = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        sx, sy, sz = origin[0] - a[0], origin[1] - a[1], origin[2] - a[2]
+        px = ray[1] * e2z - ray[2] * e2y
+        py = ray[2] * e2x - ray[0] * e2z
+        pz = ray[0] * e2y - ray[1] * e2x
+        determinant = e1x * px + e1y * py + e1z * pz
+        u, v = 0.0, 0.0
+        if determinant != 0.0:  # Edge on: the first corner stands for the face.
+            u = (sx * px + sy * py + sz * pz) / determinant
+            qx = sy * e1z - sz * e1y
+            qy = sz * e1x - sx * e1z
+            qz = sx * e1y - sy * e1x
+            v = (ray[0] * qx + ray[1] * qy + ray[2] * qz) / determinant
+        # Within float32 of an edge the exact ray may miss the face by a hair.
+        u = min(max(u, 0.0), 1.0)
+        v = min(max(v, 0.0), 1.0 - u)
+        points[i, 0] = a[0] + u * e1x + v * e2x
+        points[i, 1] = a[1] + u * e1y + v * e2y
+        points[i, 2] = a[2] + u * e1z + v * e2z
+        w = 1.0 - u - v
+        weights[i, 0], weights[i, 1], weights[i, 2] = w, u, v
+        na = vertex_normals[corners[0]]
+        nb_, nc = vertex_normals[corners[1]], vertex_normals[corners[2]]
+        nx = w * na[0] + u * nb_[0] + v * nc[0]
+        ny = w * na[1] + u * nb_[1] + v * nc[1]
+        nz = w * na[2] + u * nb_[2] + v * nc[2]
+        length = max(np.sqrt(nx * nx + ny * ny + nz * nz), 1e-12)
+        normals[i, 0], normals[i, 1], normals[i, 2] = (
+            nx / length,
+            ny / length,
+            nz / length,
+        )
+    return points, normals, weights
 
 
 def render_linear(
@@ -82,7 +132,8 @@ def render_linear(
     grid_x, grid_y = np.meshgrid(np.arange(width), np.arange(height))
     centers = np.column_stack([grid_x.ravel(), grid_y.ravel()]).astype(np.float64)
     image = np.asarray(backdrop(camera, centers), dtype=np.float32)
-    origin, directions = camera.rays(centers)
+    to_world = camera.R_cam_world.T @ np.linalg.inv(camera.K)
+    origin, directions = camera.center, _directions(centers, to_world)
     face, _ = mesh.first_hits(np.broadcast_to(origin, directions.shape), directions)
     near = np.pad((face >= 0).reshape(height, width), 1)
     near = near[:-2] | near[1:-1] | near[2:]
@@ -94,7 +145,7 @@ def render_linear(
     for start in range(0, len(pixels), band):
         chosen = pixels[start : start + band]
         places = (centers[chosen, None, :] + offsets).reshape(-1, 2)
-        _, directions = camera.rays(places)
+        directions = _directions(places, to_world)
         met, hits = surface_hits(mesh, origin, directions)
         colours = np.zeros((len(places), 3), dtype=np.float32)
         colours[met] = shade(hits)
@@ -111,7 +162,7 @@ def sky_and_key_light(
     key_share: float = 0.5,
     key_spread: float = 0.15,
     n_rays: int = 128,
-    seed: int = 0,
+    normals: Float[np.ndarray, "n 3"] | None = None,
 ) -> Float[np.ndarray, "n"]:
     """Light that falls on each vertex: a soft sky and a lamp, both with shadows by rays.
 
@@ -122,14 +173,16 @@ def sky_and_key_light(
         key_share: the lamp's share of the light on a surface that faces it.
         key_spread: the lamp's radius over its distance: larger is softer.
         n_rays: rays a vertex for the sky; a quarter of it for the lamp.
-        seed: of the directions, which all vertices share: no noise between them.
+        normals: unit normals of the vertices, if better ones are known than the mesh's.
 
     Returns:
         Light by vertex: 1 where nothing is hidden and the surface faces both.
     """
-    rng = np.random.default_rng(seed)
+    # All vertices share the directions: no noise between neighbours.
+    rng = np.random.default_rng(0)
     up, key = up / np.linalg.norm(up), key_direction / np.linalg.norm(key_direction)
-    normals = mesh.vertex_normals
+    if normals is None:
+        normals = mesh.vertex_normals
     origins = mesh.vertices + 1e-3 * mesh.diagonal * normals
     sky = _even_directions(n_rays, rng)
     brightness = 0.75 + 0.25 * sky @ up

@@ -15,10 +15,10 @@ FOCAL_SIGMA = 0.012
 """Relative error of the focal length at unit scale."""
 DISTANCE_SIGMA = 0.012
 """Relative error of the distance to the object."""
-ROTATION_SIGMA_DEG = 1.2
+ROTATION_SIGMA_DEG = 1.4
 """Error of the rotation about the object, each axis."""
-AIM_SIGMA = 0.01
-"""Error of the aim: sideways shift over the distance to the object."""
+AIM_SHARE = 0.006
+"""Error of the aim in the photo, each axis, over the photo's longer side."""
 PRINCIPAL_POINT_SHARE = 0.005
 """Largest error of the principal point over the photo's longer side."""
 N_POINTS = 2_000
@@ -101,15 +101,14 @@ def _moved(
     """The camera with errors of ``direction`` sigmas, turned about ``pivot``."""
     turn = Rotation.from_rotvec(np.radians(ROTATION_SIGMA_DEG) * direction[:3])
     pivot_cam = camera.to_camera(pivot[None])[0]
-    depth = pivot_cam[2]
+    depth, side_px = pivot_cam[2], max(camera.width, camera.height)
     K = camera.K.copy()
     K[:2, :2] *= np.exp(FOCAL_SIGMA * direction[3])
-    K[:2, 2] += PRINCIPAL_POINT_SHARE * max(camera.width, camera.height) * shift
+    K[:2, 2] += PRINCIPAL_POINT_SHARE * side_px * shift
     # Aimed by eye: the object is back where the photo shows it, but for the aim's error.
     new_depth = depth * np.exp(DISTANCE_SIGMA * direction[4])
-    pixel = camera.project(pivot[None])[0]
+    pixel = camera.project(pivot[None])[0] + AIM_SHARE * side_px * direction[5:7]
     ray = np.linalg.solve(K, np.array([pixel[0], pixel[1], 1.0]))
     target = new_depth * ray
-    target[:2] += AIM_SIGMA * depth * direction[5:7]
     R = turn.as_matrix() @ camera.R_cam_world
     return Camera(K, R, target - R @ pivot, camera.width, camera.height)

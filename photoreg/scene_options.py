@@ -25,6 +25,7 @@ KIND_SETTINGS: Mapping[str, Mapping[str, Any]] = {
         "width": 1280,
         "height": 960,
         "jpeg_quality": 92,
+        "sensor_noise": 1.0,
     },
     "clean": {"sensor_noise": 1.5},
     "mid": _MID,
