@@ -35,6 +35,10 @@ BACKDROP = (38, 41, 48)
 MAX_BACKGROUND_PX = 1600
 FIT = 0.97
 
+HOME_AZIMUTHS_DEG = (-78.0, -60.0, -40.0, 40.0, 60.0, 78.0)
+HOME_ELEVATIONS_DEG = (16.0, 26.0, 36.0)
+HOME_SHARE = 0.9
+
 Mode = Literal["free", "move", "inspect"]
 
 
@@ -301,54 +305,55 @@ def home_view(
     """Position and target, in page axes, from which everything is in the frame.
 
     From behind the cameras, to their side and above, so that the object's front and
-    what the cameras look at are seen together.
+    what the cameras look at are seen together; of several such views the one in which
+    it all appears largest in a canvas of this shape.
     """
     up = np.array(state.document.up)
-    points = [
-        np.array([x, y, z]) * 0.58 for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)
-    ]
+    box = np.array([[-0.58, -0.58, -0.58], [0.58, 0.58, 0.58]])
     if state.document.mesh is not None:
-        low, high = frame.to_page(state.document.mesh.bounds)
-        points = [
-            np.array([x, y, z])
-            for x in (low[0], high[0])
-            for y in (low[1], high[1])
-            for z in (low[2], high[2])
-        ]
+        box = frame.to_page(state.document.mesh.bounds)
+    cloud = [
+        np.array([x, y, z]) for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]
+    ]
     toward = np.zeros(3)
     for entry in state.document.photos:
         rotation, position = frame.pose(entry.camera)
-        points.append(position)
-        points.extend(frustum_corners(entry.camera) @ rotation.T + position)
+        cloud.append(position)
+        cloud.extend(frustum_corners(entry.camera) @ rotation.T + position)
         toward += position / max(float(np.linalg.norm(position)), 1e-9)
-    toward = toward - up * (toward @ up)
+    toward -= up * (toward @ up)
     if np.linalg.norm(toward) < 0.1:
         toward = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
     toward /= np.linalg.norm(toward)
-    sideways = np.cross(up, toward)
-    direction = (
-        0.45 * toward + 0.95 * sideways + 0.42 * up
-        if state.document.photos
-        else toward + 0.6 * sideways + 0.35 * up
-    )
-    direction /= np.linalg.norm(direction)
+    aside = np.cross(up, toward)
+    views = []
+    for azimuth in np.radians(HOME_AZIMUTHS_DEG):
+        for elevation in np.radians(HOME_ELEVATIONS_DEG):
+            level = np.cos(azimuth) * toward + np.sin(azimuth) * aside
+            direction = np.cos(elevation) * level + np.sin(elevation) * up
+            views.append(_fitting_view(np.array(cloud), direction, up, aspect))
+    distance, direction, target = min(views, key=lambda view: view[0])
+    return target + distance * direction, target
+
+
+def _fitting_view(
+    cloud: np.ndarray, direction: np.ndarray, up: np.ndarray, aspect: float
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """Distance, direction and target that just hold all points, centred."""
     right = np.cross(up, direction)
     right /= np.linalg.norm(right)
     above = np.cross(direction, right)
-    cloud = np.array(points)
-    tan_y = np.tan(0.5 * FREE_FOV) * 0.9
+    tan_y = HOME_SHARE * np.tan(0.5 * FREE_FOV)
     tan_x = tan_y * aspect
-    # Alternate: distance that fits, then the target in the middle of what is seen.
-    target = cloud.mean(axis=0)
-    distance = 1.0
+    target, distance = cloud.mean(axis=0), 1.0
+    # In turn: the distance that fits, then the target amid what is seen from there.
     for _ in range(8):
-        offset = cloud - target
-        x, y, z = offset @ right, offset @ above, offset @ direction
+        x, y, z = np.stack([right, above, direction]) @ (cloud - target).T
         distance = float(
             max((np.abs(x) / tan_x + z).max(), (np.abs(y) / tan_y + z).max())
         )
         px, py = x / (distance - z), y / (distance - z)
-        shift_x = 0.5 * (px.max() + px.min()) * distance
-        shift_y = 0.5 * (py.max() + py.min()) * distance
-        target = target + shift_x * right + shift_y * above
-    return target + distance * direction, target
+        target = target + 0.5 * distance * (
+            (px.max() + px.min()) * right + (py.max() + py.min()) * above
+        )
+    return distance, direction, target
