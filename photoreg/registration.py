@@ -1,167 +1,37 @@
-"""The whole refinement: prepare, search, and the events that tell how it goes."""
+"""The whole refinement: prepare, search, polish, and the events that tell of it."""
 
-import dataclasses
 import time
 from collections.abc import Iterator, Sequence
-from typing import Literal
 
 import numpy as np
 
+from photoreg.alignment import polish_cameras
 from photoreg.camera import Camera
-from photoreg.consistency import ConsistencyConfig, PhotoConsistency, patches_of
+from photoreg.consistency import PhotoConsistency, patches_of
 from photoreg.errors import InputError, RefinementError
-from photoreg.genes import CameraModel, Coordinates, GeneBox, GeneMap
-from photoreg.genetic import Generation, GeneticConfig, evolve
+from photoreg.events import Event, Finished, Phase, Progress
+from photoreg.genes import GeneMap
+from photoreg.genetic import Generation, evolve
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
+from photoreg.presets import PresetName, RegistrationConfig
 from photoreg.sampling import SurfaceSamples, sample_surface
-from photoreg.visibility import VisibilityMethod, visible
+from photoreg.visibility import visible
 
-PresetName = Literal["default", "paper", "fast", "thorough"]
-Phase = Literal["prepare", "search", "polish"]
+__all__ = [
+    "Event",
+    "Finished",
+    "PresetName",
+    "Progress",
+    "RegistrationConfig",
+    "refine",
+]
 
+MIN_OVERLAP = 0.1
+"""Share of what the photos see that two must see, lest the user is warned."""
 
-@dataclasses.dataclass(frozen=True)
-class RegistrationConfig:
-    """Everything that a refinement can be told."""
-
-    seed: int = 0
-    """Same seed, same answer, whatever the number of threads; 0 or more."""
-    samples: int = 1000
-    """Surface points that the search compares, at least 10."""
-    focus_samples: bool = True
-    """Take the surface points only where two photos may see them; false: from the
-    whole surface, as the paper does."""
-    camera_model: CameraModel = "pinhole"
-    """pinhole: square pixels, no skew, 9 genes a camera. full: 11."""
-    coordinates: Coordinates = "object"
-    """Genes of the cameras: camera (the paper's) or object (turns about the object)."""
-    box: GeneBox = dataclasses.field(
-        default_factory=lambda: GeneBox(
-            focal=0.03, principal_point=0.005, rotation_deg=4.0, scale=0.07, shift=0.045
-        )
-    )
-    """Gene intervals around the start."""
-    tie_focal_to_distance: bool = True
-    """First population by the paper's eq. 4, f / d ~ w / W."""
-    occlusion: VisibilityMethod = "rays"
-    """How points hidden behind the surface are found, at the start and after each
-    restart: rays, depth, or normals (not at all, as in the paper)."""
-    consistency: ConsistencyConfig = dataclasses.field(
-        default_factory=lambda: ConsistencyConfig(max_side_px=512, blur_px=1.0)
-    )
-    """How photos are compared in the search."""
-    genetic: GeneticConfig = dataclasses.field(
-        default_factory=lambda: GeneticConfig(
-            population=300, generations=60, restarts=1, mutation_sigma_end=0.05
-        )
-    )
-    """The search."""
-
-    def __post_init__(self) -> None:
-        if self.seed < 0:
-            raise InputError(f"seed is {self.seed}; give 0 or more.")
-        if self.samples < 10:
-            raise InputError(f"samples is {self.samples}; give at least 10.")
-
-    @classmethod
-    def preset(
-        cls, name: PresetName = "default", seed: int = 0
-    ) -> "RegistrationConfig":
-        """The settings of a preset.
-
-        ``default``: a short search that finds the basin, then the polish. ``fast``: a
-        shorter one. ``thorough``: a wider box and a longer search. ``paper``: the
-        genetic algorithm exactly as the paper has it, alone.
-
-        Raises:
-            InputError: if there is no such preset.
-        """
-        default = cls(seed=seed)
-        if name == "default":
-            return default
-        if name == "fast":
-            return dataclasses.replace(
-                default,
-                genetic=dataclasses.replace(
-                    default.genetic, population=150, generations=40
-                ),
-            )
-        if name == "thorough":
-            return dataclasses.replace(
-                default,
-                box=default.box.widened(2.2),
-                genetic=dataclasses.replace(
-                    default.genetic, population=1000, generations=100, restarts=2
-                ),
-            )
-        if name == "paper":
-            return cls(
-                seed=seed,
-                samples=1000,
-                focus_samples=False,
-                coordinates="camera",
-                box=GeneBox(),
-                occlusion="normals",
-                consistency=ConsistencyConfig(
-                    exposure=False, min_share=0.0, max_side_px=1 << 30
-                ),
-                genetic=GeneticConfig(),
-            )
-        raise InputError(
-            f"{name!r} is not a preset; choose default, paper, fast or thorough."
-        )
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Progress:
-    """One step of a running refinement."""
-
-    phase: Phase
-    """What is going on."""
-    step: str
-    """The same in plain words."""
-    fraction: float
-    """Share of the whole run's budget spent, in [0, 1]. Not a promise of time left."""
-    generation: int
-    """Generations of the search so far, over all restarts."""
-    evaluations: int
-    """Cost evaluations so far."""
-    best_cost: float
-    """Cost of ``cameras``; comparable only within one phase."""
-    median_cost: float
-    """Median cost of the living population; the best cost where there is none."""
-    elapsed_s: float
-    """Seconds since the start."""
-    cameras: tuple[Camera, ...]
-    """The best so far, one a photo: always a complete answer."""
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Finished:
-    """How a refinement ended."""
-
-    cameras: tuple[Camera, ...]
-    """The answer, one a photo."""
-    start_cost: float
-    """Cost of the cameras given."""
-    cost: float
-    """Cost of the answer, measured the same way; never above ``start_cost``."""
-    reason: str
-    """Why it ended, in one sentence."""
-    warnings: tuple[str, ...]
-    """What makes the answer doubtful, one sentence each."""
-    elapsed_s: float
-    """Seconds it took."""
-    generations: int
-    """Generations of the search."""
-    evaluations: int
-    """Cost evaluations of the search."""
-    seconds_by_phase: dict[str, float]
-    """Seconds by phase."""
-
-
-Event = Progress | Finished
+SEARCH_SHARE = 0.3
+"""Share of the progress bar given to the search where a polish follows."""
 
 
 def refine(
@@ -185,12 +55,6 @@ def refine(
         InputError: if photos and cameras do not match.
         RefinementError: if no camera sees the surface, or no two see a common part.
     """
-    config = RegistrationConfig() if config is None else config
-    _check(photos, cameras)
-    return _run(mesh, tuple(photos), tuple(cameras), config)
-
-
-def _check(photos: Sequence[Photo], cameras: Sequence[Camera]) -> None:
     if len(photos) < 2:
         raise InputError(f"A refinement needs two photos or more, not {len(photos)}.")
     if len(photos) != len(cameras):
@@ -204,95 +68,193 @@ def _check(photos: Sequence[Photo], cameras: Sequence[Camera]) -> None:
                 f"{photo.name} is {photo.width}x{photo.height} px, but its camera is for "
                 f"{camera.width}x{camera.height} px."
             )
+    run = _Run(mesh, photos, cameras, config or RegistrationConfig())
+    return run.events()
 
 
-def _run(
-    mesh: Mesh,
-    photos: tuple[Photo, ...],
-    start: tuple[Camera, ...],
-    config: RegistrationConfig,
-) -> Iterator[Event]:
-    began = time.perf_counter()
-    yield Progress("prepare", "getting ready", 0.0, 0, 0, np.inf, np.inf, 0.0, start)
-    samples = _samples(mesh, start, config)
-    warnings = _view_warnings(mesh, photos, start)
-    patches = None
-    if config.consistency.cost == "mncc":
-        patches = patches_of(mesh, samples, start, config.consistency)
-    consistency = PhotoConsistency(samples, photos, config.consistency, patches=patches)
-    gene_map = GeneMap(
-        start, mesh.centroid, config.box, config.camera_model, config.coordinates
-    )
-    if config.occlusion != "normals":
-        consistency.allow(
-            visible(samples, start, mesh, config.occlusion, min_cosine=0.0)
+class _Run:
+    """One refinement: what its phases share."""
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        photos: Sequence[Photo],
+        cameras: Sequence[Camera],
+        config: RegistrationConfig,
+    ) -> None:
+        self.mesh, self.photos, self.config = mesh, tuple(photos), config
+        self.start = self.best = tuple(cameras)
+        self.began = time.perf_counter()
+        self.seconds: dict[str, float] = {}
+        self.generations = self.evaluations = 0
+        self.warnings: list[str] = []
+        self.reason = ""
+
+    def events(self) -> Iterator[Event]:
+        yield self._progress("prepare", "getting ready", 0.0, np.inf, np.inf)
+        mesh, config = self.mesh, self.config
+        self.warnings += view_warnings(mesh, self.photos, self.start)
+        samples = shared_samples(mesh, self.start, config)
+        patches = None
+        if config.consistency.cost == "mncc":
+            patches = patches_of(mesh, samples, self.start, config.consistency)
+        consistency = PhotoConsistency(
+            samples, self.photos, config.consistency, patches=patches
         )
-    consistency.require(start)
-    start_cost = consistency.cost(start)
-    prepared = time.perf_counter()
-    generations, last, best = 0, None, start
-    for last in evolve(
-        lambda genes: consistency.costs(genes, gene_map),
-        lambda n, rng: gene_map.first_population(n, rng, config.tie_focal_to_distance),
-        config.genetic,
-        config.seed,
-        start=np.zeros(gene_map.n_genes),
-    ):
-        generations += last.generation > 0
-        best = tuple(gene_map.to_cameras(last.best_genes))
-        yield Progress(
-            "search",
-            f"generation {generations} of {_budget(config)}",
-            0.05 + 0.95 * generations / _budget(config),
-            generations,
-            last.evaluations,
-            last.best_cost,
-            last.median_cost,
-            time.perf_counter() - began,
+        gene_map = GeneMap(
+            self.start,
+            mesh.centroid,
+            config.box,
+            config.camera_model,
+            config.coordinates,
+        )
+        self._hide(consistency, self.start)
+        consistency.require(self.start)
+        self._clock("prepare")
+        yield from self._search(consistency, gene_map)
+        self._clock("search")
+        if config.polish_after:
+            yield from self._polish()
+            self._clock("polish")
+        yield self._finished(consistency, gene_map)
+
+    def _hide(self, consistency: PhotoConsistency, cameras: Sequence[Camera]) -> None:
+        """Takes away the votes of what cannot be seen from ``cameras``."""
+        method = self.config.occlusion
+        if method != "normals":
+            # Which way a point faces is tested for each individual: not here.
+            consistency.allow(
+                visible(consistency.samples, cameras, self.mesh, method, min_cosine=0.0)
+            )
+
+    def _search(
+        self, consistency: PhotoConsistency, gene_map: GeneMap
+    ) -> Iterator[Progress]:
+        config, settings = self.config, self.config.genetic
+        budget = settings.generations * settings.restarts
+        share = SEARCH_SHARE if config.polish_after else 1.0
+        last: Generation | None = None
+        for last in evolve(
+            lambda genes: consistency.costs(genes, gene_map),
+            lambda n, rng: gene_map.first_population(
+                n, rng, config.tie_focal_to_distance
+            ),
+            settings,
+            config.seed,
+            start=np.zeros(gene_map.n_genes),
+        ):
+            self.generations += last.generation > 0
+            self.evaluations = last.evaluations
+            self.best = tuple(gene_map.to_cameras(last.best_genes))
+            done = last.restart * settings.generations + last.generation
+            yield self._progress(
+                "search",
+                f"generation {self.generations} of {budget}",
+                share * done / budget,
+                last.best_cost,
+                last.median_cost,
+            )
+            if last.stop is not None and last.restart + 1 < settings.restarts:
+                self._hide(consistency, self.best)
+        assert last is not None
+        if last.stop == "cost level":
+            self.reason = (
+                f"The cost fell to the level asked for ({last.best_cost:.4g})."
+            )
+        elif last.stop == "stagnation":
+            self.reason = "The search stopped improving."
+        else:
+            self.reason = "All generations of the search are done."
+
+    def _polish(self) -> Iterator[Progress]:
+        level, steps = -1, 0
+        for step in polish_cameras(
+            self.mesh,
+            self.photos,
+            self.best,
+            self.start,
+            self.config.polish,
+            self.config.seed,
+        ):
+            self.best = step.cameras
+            steps = steps + 1 if step.level == level else 0
+            level = step.level
+            within = 1.0 - 1.0 / (1.0 + 0.2 * steps)
+            yield self._progress(
+                "polish",
+                f"polish, level {step.level + 1} of {step.n_levels}",
+                SEARCH_SHARE
+                + (1.0 - SEARCH_SHARE) * (step.level + within) / step.n_levels,
+                step.cost,
+                step.cost,
+            )
+        self.reason = "The polish is done."
+
+    def _finished(self, consistency: PhotoConsistency, gene_map: GeneMap) -> Finished:
+        start_cost, cost = consistency.cost(self.start), consistency.cost(self.best)
+        if not cost <= start_cost:
+            self.best, cost = self.start, start_cost
+            self.reason = "Nothing better than the start was found."
+        self.warnings += border_warnings(gene_map, self.best)
+        return Finished(
+            self.best,
+            start_cost,
+            cost,
+            self.reason,
+            tuple(self.warnings),
+            time.perf_counter() - self.began,
+            self.generations,
+            self.evaluations,
+            self.seconds,
+        )
+
+    def _clock(self, phase: Phase) -> None:
+        elapsed = time.perf_counter() - self.began
+        self.seconds[phase] = elapsed - sum(self.seconds.values())
+
+    def _progress(
+        self, phase: Phase, step: str, fraction: float, best: float, median: float
+    ) -> Progress:
+        return Progress(
+            phase,
+            step,
+            fraction,
+            self.generations,
+            self.evaluations,
             best,
+            median,
+            time.perf_counter() - self.began,
+            self.best,
         )
-    assert last is not None
-    searched = time.perf_counter()
-    yield Finished(
-        best,
-        start_cost,
-        last.best_cost,
-        _reason(last),
-        tuple(warnings + _border_warnings(gene_map, last)),
-        searched - began,
-        generations,
-        last.evaluations,
-        {"prepare": prepared - began, "search": searched - prepared},
-    )
 
 
-def _budget(config: RegistrationConfig) -> int:
-    return config.genetic.generations * config.genetic.restarts
-
-
-def _samples(
+def shared_samples(
     mesh: Mesh, cameras: Sequence[Camera], config: RegistrationConfig
 ) -> SurfaceSamples:
-    """The points to compare; where two photos may see them, if so configured."""
+    """The points to compare; only where two photos may see them, if so configured.
+
+    Raises:
+        RefinementError: if two photos share fewer than 10 points.
+    """
     if not config.focus_samples:
         return sample_surface(mesh, config.samples, config.seed)
     # Ten times as many as wanted are enough where a tenth of the surface is shared.
     candidates = sample_surface(mesh, 10 * config.samples, config.seed)
     seen = visible(candidates, cameras, mesh, "rays", config.consistency.min_cosine)
     shared = np.flatnonzero(seen.sum(axis=0) >= 2)
-    rng = np.random.default_rng(config.seed)
-    if len(shared) > config.samples:
-        shared = np.sort(rng.choice(shared, config.samples, replace=False))
     if len(shared) < 10:
         raise RefinementError(
             "The photos show hardly any common part of the surface with these cameras, "
             f"so they cannot be compared ({len(shared)} of {len(candidates)} points). "
             "Align the cameras, or take photos from nearer viewpoints."
         )
+    if len(shared) > config.samples:
+        rng = np.random.default_rng(config.seed)
+        shared = np.sort(rng.choice(shared, config.samples, replace=False))
     return candidates.subset(shared)
 
 
-def _view_warnings(
+def view_warnings(
     mesh: Mesh, photos: Sequence[Photo], cameras: Sequence[Camera]
 ) -> list[str]:
     """Warnings about what the start cameras see.
@@ -312,31 +274,24 @@ def _view_warnings(
         f"The camera of {name} does not see the surface; align it and refine again."
         for name in blind
     ]
-    either = seen.any(axis=0).sum()
-    shared = (seen.sum(axis=0) >= 2).sum()
-    if shared < 0.1 * either:
+    either, shared = seen.any(axis=0).sum(), (seen.sum(axis=0) >= 2).sum()
+    if shared < MIN_OVERLAP * either:
         warnings.append(
-            "The photos hardly overlap on the surface: "
-            f"{100 * shared / max(1, either):.0f} % of what they see is seen twice. "
-            "The answer rests on little."
+            "The photos hardly overlap on the surface: of what they see, "
+            f"{100 * shared / either:.0f} % is seen twice. The answer rests on little."
         )
     return warnings
 
 
-def _border_warnings(gene_map: GeneMap, last: Generation) -> list[str]:
-    names = gene_map.names()
-    outside = [names[g] for g in np.flatnonzero(gene_map.on_border(last.best_genes))]
-    if not outside:
+def border_warnings(gene_map: GeneMap, cameras: Sequence[Camera]) -> list[str]:
+    """A warning that names the genes on the border of the search box, if any is."""
+    on_border = gene_map.on_border(gene_map.to_genes(cameras))
+    names = [
+        name for name, is_on in zip(gene_map.names(), on_border, strict=True) if is_on
+    ]
+    if not names:
         return []
     return [
-        f"The answer lies on the border of the search box ({', '.join(outside)}): the "
-        "true cameras may lie outside. Refine again from here, or use a wider box."
+        f"The answer lies on the border of the search box ({', '.join(names)}): the true "
+        "cameras may lie outside. Refine again from here, or choose a wider box."
     ]
-
-
-def _reason(last: Generation) -> str:
-    if last.stop == "cost level":
-        return f"The cost fell to the level asked for ({last.best_cost:.4g})."
-    if last.stop == "stagnation":
-        return "The search stopped improving."
-    return "All generations of the search are done."

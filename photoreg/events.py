@@ -1,0 +1,59 @@
+"""What a refinement tells while it runs, and how it ended."""
+
+import dataclasses
+from typing import Literal
+
+from photoreg.camera import Camera
+
+Phase = Literal["prepare", "search", "polish"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Progress:
+    """One step of a running refinement."""
+
+    phase: Phase
+    """What is going on."""
+    step: str
+    """The same in plain words."""
+    fraction: float
+    """Share of the whole run's budget spent, in [0, 1]. Not a promise of time left."""
+    generation: int
+    """Generations of the search so far, over all restarts."""
+    evaluations: int
+    """Cost evaluations of the search so far."""
+    best_cost: float
+    """Cost of the best so far; comparable only within one phase."""
+    median_cost: float
+    """Median cost of the living population; the best cost where there is none."""
+    elapsed_s: float
+    """Seconds since the start."""
+    cameras: tuple[Camera, ...]
+    """The best so far, one a photo: always a complete answer."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Finished:
+    """How a refinement ended."""
+
+    cameras: tuple[Camera, ...]
+    """The answer, one a photo."""
+    start_cost: float
+    """Cost of the cameras given."""
+    cost: float
+    """Cost of the answer, measured the same way; never above ``start_cost``."""
+    reason: str
+    """Why it ended, in one sentence."""
+    warnings: tuple[str, ...]
+    """What makes the answer doubtful, one sentence each."""
+    elapsed_s: float
+    """Seconds it took."""
+    generations: int
+    """Generations of the search."""
+    evaluations: int
+    """Cost evaluations of the search."""
+    seconds_by_phase: dict[str, float]
+    """Seconds by phase: prepare, search, polish."""
+
+
+Event = Progress | Finished

@@ -1,0 +1,115 @@
+"""Everything a refinement can be told, and the named settings."""
+
+import dataclasses
+from typing import Literal
+
+from photoreg.alignment import PolishConfig
+from photoreg.consistency import ConsistencyConfig
+from photoreg.errors import InputError
+from photoreg.genes import CameraModel, Coordinates, GeneBox
+from photoreg.genetic import GeneticConfig
+from photoreg.visibility import VisibilityMethod
+
+PresetName = Literal["default", "paper", "fast", "thorough"]
+
+OBJECT_BOX = GeneBox(
+    focal=0.04, principal_point=0.01, rotation_deg=4.5, scale=0.08, shift=0.05
+)
+"""Holds starts up to about 40 px off at 1,024 px width, whatever combination of focal
+length, principal point, turn and place is wrong."""
+
+REDUCED_PHOTOS = ConsistencyConfig(max_side_px=512, blur_px=2.0)
+"""Photos reduced and blurred: the search only has to find the basin of the polish."""
+
+SHORT_SEARCH = GeneticConfig(
+    population=300, generations=60, restarts=1, mutation_sigma_end=0.05
+)
+
+POLISH = PolishConfig()
+
+
+@dataclasses.dataclass(frozen=True)
+class RegistrationConfig:
+    """Everything that a refinement can be told."""
+
+    seed: int = 0
+    """Same seed, same answer, whatever the number of threads; 0 or more."""
+    samples: int = 1000
+    """Surface points that the search compares, at least 10."""
+    focus_samples: bool = True
+    """Take the surface points only where two photos may see them; false: from the
+    whole surface, as the paper does."""
+    camera_model: CameraModel = "pinhole"
+    """pinhole: square pixels, no skew, 9 genes a camera. full: 11."""
+    coordinates: Coordinates = "object"
+    """Genes of the cameras: camera (the paper's) or object (turns about the object)."""
+    box: GeneBox = OBJECT_BOX
+    """Gene intervals around the start."""
+    tie_focal_to_distance: bool = True
+    """First population by the paper's eq. 4, f / d ~ w / W."""
+    occlusion: VisibilityMethod = "rays"
+    """How points hidden behind the surface are found, at the start and after each
+    restart: rays, depth, or normals (not at all, as in the paper)."""
+    consistency: ConsistencyConfig = REDUCED_PHOTOS
+    """How photos are compared in the search."""
+    genetic: GeneticConfig = SHORT_SEARCH
+    """The search."""
+    polish_after: bool = True
+    """Whether the polish follows the search."""
+    polish: PolishConfig = POLISH
+    """The polish."""
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise InputError(f"seed is {self.seed}; give 0 or more.")
+        if self.samples < 10:
+            raise InputError(f"samples is {self.samples}; give at least 10.")
+
+    @classmethod
+    def preset(
+        cls, name: PresetName = "default", seed: int = 0
+    ) -> "RegistrationConfig":
+        """The settings of a preset.
+
+        ``default``: a short search that finds the basin, then the polish. ``fast``: a
+        shorter search. ``thorough``: a wider box and a longer search. ``paper``: the
+        genetic algorithm exactly as the paper has it, alone.
+
+        Raises:
+            InputError: if there is no such preset.
+        """
+        default = cls(seed=seed)
+        if name == "default":
+            return default
+        if name == "fast":
+            return dataclasses.replace(
+                default,
+                genetic=dataclasses.replace(
+                    default.genetic, population=150, generations=40
+                ),
+            )
+        if name == "thorough":
+            return dataclasses.replace(
+                default,
+                box=default.box.widened(2.2),
+                genetic=dataclasses.replace(
+                    default.genetic, population=1000, generations=100, restarts=2
+                ),
+            )
+        if name == "paper":
+            return cls(
+                seed=seed,
+                samples=1000,
+                focus_samples=False,
+                coordinates="camera",
+                box=GeneBox(),
+                occlusion="normals",
+                consistency=ConsistencyConfig(
+                    exposure=False, min_share=0.0, max_side_px=1 << 30
+                ),
+                genetic=GeneticConfig(),
+                polish_after=False,
+            )
+        raise InputError(
+            f"{name!r} is not a preset; choose default, paper, fast or thorough."
+        )
