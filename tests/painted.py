@@ -54,3 +54,34 @@ def photograph(
     colours = gain * paint(buffer.points[buffer.covered])
     pixels[buffer.covered] = np.rint(np.clip(colours, 0, 255)).astype(np.uint8)
     return Photo(name, pixels)
+
+
+def render_textured(
+    mesh: Mesh, corner_uv: np.ndarray, texture: np.ndarray, camera: Camera
+) -> tuple[np.ndarray, np.ndarray]:
+    """The textured surface by bilinear lookup, as any viewer shows it.
+
+    Returns:
+        Picture (h, w, 3) float, and the texel (row, column) nearest to each pixel,
+        (h, w, 2); -1 off the mesh.
+    """
+    buffer = render_geometry(mesh, camera)
+    face = buffer.face_index[buffer.covered]
+    points = buffer.points[buffer.covered]
+    a, b, c = (mesh.vertices[mesh.faces[face, i]] for i in range(3))
+    bary = trimesh.triangles.points_to_barycentric(np.stack([a, b, c], axis=1), points)
+    uv = (bary[:, :, None] * corner_uv[face]).sum(axis=1)
+    height, width = texture.shape[:2]
+    x = np.clip(uv[:, 0] * width - 0.5, 0, width - 1)
+    y = np.clip((1.0 - uv[:, 1]) * height - 0.5, 0, height - 1)
+    ix = np.minimum(x.astype(int), width - 2)
+    iy = np.minimum(y.astype(int), height - 2)
+    fx, fy = (x - ix)[:, None], (y - iy)[:, None]
+    t = texture.astype(np.float64)
+    upper = (1 - fx) * t[iy, ix] + fx * t[iy, ix + 1]
+    lower = (1 - fx) * t[iy + 1, ix] + fx * t[iy + 1, ix + 1]
+    picture = np.zeros((camera.height, camera.width, 3))
+    picture[buffer.covered] = (1 - fy) * upper + fy * lower
+    texel = np.full((camera.height, camera.width, 2), -1)
+    texel[buffer.covered] = np.column_stack([np.rint(y), np.rint(x)]).astype(int)
+    return picture, texel

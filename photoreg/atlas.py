@@ -1,0 +1,130 @@
+"""Texture coordinates of a mesh: its own, or charts cut and packed by xatlas."""
+
+import dataclasses
+
+import numpy as np
+import xatlas
+from jaxtyping import Float, Int
+
+from photoreg.mesh import Mesh
+from photoreg.raster import rasterise
+
+PADDING_TEXELS = 6
+"""Free texels between charts at the packing resolution, filled by the gutter."""
+
+PACKING_RESOLUTION = 2048
+"""Texels on a side that the padding is meant for."""
+
+CAREFUL_MAX_FACES = 50_000
+"""Up to here xatlas improves its charts once; beyond, that costs most of its time
+(100,000 faces: 42 s instead of 6 s, for a quarter fewer charts)."""
+
+MAX_OVERLAP = 0.02
+"""Share of the mesh's own charts that may lie on another before they are refused: one
+texel cannot show two places."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Atlas:
+    """Where each face lies in the texture."""
+
+    uv: Float[np.ndarray, "k 2"]
+    """Texture coordinates in [0, 1], u to the right and v upwards."""
+    uv_vertex: Int[np.ndarray, "k"]
+    """The mesh's vertex each coordinate belongs to; vertices on seams have several."""
+    uv_faces: Int[np.ndarray, "m 3"]
+    """For each corner of each face the row in ``uv``."""
+    aspect: float = 1.0
+    """Width of the packed charts by their height: the shape of the texture."""
+    is_own: bool = False
+    """Whether these are the mesh's own coordinates."""
+
+    def corners_px(self, width: int, height: int) -> Float[np.ndarray, "m 3 2"]:
+        """Corners of the faces in texels; (0, 0) is the centre of the top-left texel."""
+        size = np.array([width, -height], dtype=np.float64)
+        origin = np.array([-0.5, height - 0.5])
+        return (self.uv * size + origin)[self.uv_faces]
+
+    def faces_at_texels(self, width: int, height: int) -> Int[np.ndarray, "h w"]:
+        """The face that lies at each texel's centre, int32; -1 where none does."""
+        return _draw(self.uv, self.uv_faces, width, height)
+
+
+def make_atlas(mesh: Mesh, keep_uv: bool = True) -> Atlas:
+    """Texture coordinates for ``mesh``, one chart layout for all of it.
+
+    Args:
+        mesh: The surface.
+        keep_uv: Use the mesh's own coordinates if it has valid ones: finite, within
+            [0, 1], with an area, hardly overlapping.
+    """
+    if keep_uv:
+        own = _own_atlas(mesh)
+        if own is not None:
+            return own
+    return _charts(mesh)
+
+
+def _own_atlas(mesh: Mesh) -> Atlas | None:
+    """The mesh's own coordinates; None if it has none or they cannot hold a texture."""
+    if mesh.corner_uv is None:
+        return None
+    uv = mesh.corner_uv.reshape(-1, 2)
+    if not np.isfinite(uv).all() or uv.min() < -1e-6 or uv.max() > 1.0 + 1e-6:
+        return None
+    rows = np.column_stack([mesh.faces.reshape(-1), uv])
+    unique, index = np.unique(rows, axis=0, return_inverse=True)
+    uv_faces = index.reshape(-1, 3).astype(np.int32)
+    uv = np.clip(unique[:, 1:], 0.0, 1.0)
+    atlas = Atlas(uv, unique[:, 0].astype(np.int32), uv_faces, is_own=True)
+
+    size = PACKING_RESOLUTION
+    a, b, c = np.moveaxis(atlas.corners_px(size, size), 1, 0)
+    ab, ac = b - a, c - a
+    texels = 0.5 * np.abs(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]).sum()
+    covered = int((atlas.faces_at_texels(size, size) >= 0).sum())
+    # Rasterising covers the charts' area, up to their borders, when none overlap.
+    if covered == 0 or texels > covered * (1.0 + MAX_OVERLAP):
+        return None
+    return atlas
+
+
+def _charts(mesh: Mesh) -> Atlas:
+    # xatlas works in float32: centre and scale the mesh to O(1) for it. Merged at
+    # equal positions, or each seam of the file would become a cut.
+    center = mesh.bounds.mean(axis=0)
+    vertices = (mesh.vertices - center) * (2.0 / mesh.diagonal)
+    faces = mesh.position_index[mesh.faces]
+    packer = xatlas.Atlas()
+    packer.add_mesh(
+        vertices.astype(np.float32),
+        faces.astype(np.uint32),
+        mesh.vertex_normals.astype(np.float32),
+    )
+    charts = xatlas.ChartOptions()
+    charts.max_iterations = 1 if len(faces) <= CAREFUL_MAX_FACES else 0
+    packing = xatlas.PackOptions()
+    packing.padding = PADDING_TEXELS
+    packing.resolution = PACKING_RESOLUTION
+    packer.generate(charts, packing)
+    vertex, uv_faces, uv = packer.get_mesh(0)
+    # xatlas normalises by width and height apart, and counts v downwards or upwards
+    # alike; we say upwards.
+    return Atlas(
+        np.clip(uv.astype(np.float64), 0.0, 1.0),
+        vertex.astype(np.int32),
+        uv_faces.astype(np.int32),
+        aspect=packer.width / packer.height,
+    )
+
+
+def _draw(uv: np.ndarray, uv_faces: np.ndarray, width: int, height: int) -> np.ndarray:
+    flat = np.column_stack([uv, np.zeros(len(uv))])
+    P = np.array(
+        [
+            [width, 0.0, 0.0, -0.5],
+            [0.0, -height, 0.0, height - 0.5],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
+    return rasterise(flat, uv_faces, P, 0.5, width, height)[0]

@@ -1,0 +1,325 @@
+"""Photos onto texels: what each may be used for, and how much it counts there."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Literal
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+from photoreg import texels
+from photoreg.camera import Camera
+from photoreg.errors import InputError
+from photoreg.mesh import Mesh
+from photoreg.photo import Photo
+from photoreg.raster import render_geometry
+
+MIN_SIZE, MAX_SIZE = 64, 8192
+EDGE_JUMP_PX = 5.0
+"""A step in depth of less than so many pixels hides nothing that a photo registered
+to a pixel would show otherwise; rough surfaces are full of such steps."""
+EXPOSURE_SIDE_PX = 1024
+EXPOSURE_TEXELS = 200_000
+MIN_JOINT_TEXELS = 300
+"""Fewer texels seen by two photos say nothing about their exposure."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TextureConfig:
+    """Settings of texture baking."""
+
+    size: int | Literal["auto"] = "auto"
+    """Texels on the longer side; "auto": about one texel for each photo pixel on the
+    surface, a multiple of 64, at most 8192."""
+    mode: Literal["blend", "best"] = "blend"
+    """"blend": photos pass into each other, detail comes from the best view. "best":
+    each texel from its best photo alone, with visible seams between photos."""
+    unseen: Literal["diffuse", "colour"] = "diffuse"
+    """What no photo sees: colours spread from the neighbours, or one colour."""
+    unseen_colour: tuple[int, int, int] = (128, 128, 128)
+    """The colour of what no photo sees, where it is to have one (or has no seen
+    neighbour at all)."""
+    even_exposure: bool = True
+    """Multiply each photo's channels so that photos agree where both see."""
+    keep_uv: bool = True
+    """Use the mesh's own texture coordinates where they are valid."""
+    max_angle_deg: float = 78.0
+    """Surface seen at a flatter angle from its normal is not painted, in (0, 90)."""
+    margin: float = 0.002
+    """Nearest to a silhouette, a jump in depth or the photo's border that colours are
+    taken, as a share of the photo's longer side, but at least 2 pixels: lenses
+    and errors of registration mix colours there."""
+    feather: float = 0.03
+    """Over this share of the photo's longer side its weight grows from such an edge."""
+
+    def __post_init__(self) -> None:
+        if self.size != "auto" and not MIN_SIZE <= self.size <= MAX_SIZE:
+            raise InputError(
+                f"The texture's size is {self.size}; give {MIN_SIZE} to {MAX_SIZE} "
+                'texels, or "auto".'
+            )
+        if self.mode not in ("blend", "best"):
+            raise InputError(f'mode is {self.mode!r}; give "blend" or "best".')
+        if self.unseen not in ("diffuse", "colour"):
+            raise InputError(f'unseen is {self.unseen!r}; give "diffuse" or "colour".')
+        if len(self.unseen_colour) != 3 or not all(
+            0 <= value <= 255 for value in self.unseen_colour
+        ):
+            raise InputError(
+                f"unseen_colour is {self.unseen_colour}; give red, green and blue in "
+                "0 to 255."
+            )
+        if not 0.0 < self.max_angle_deg < 90.0:
+            raise InputError(
+                f"max_angle_deg is {self.max_angle_deg}; give an angle between 0 and 90."
+            )
+        for name in ("margin", "feather"):
+            value = getattr(self, name)
+            if not 0.0 <= value <= 0.5:
+                raise InputError(f"{name} is {value}; give a share in [0, 0.5].")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PreparedPhoto:
+    """A photo ready to be sampled."""
+
+    camera: Camera
+    """Its camera, for the size of these pixels."""
+    pixels: UInt8[np.ndarray, "h w 3"]
+    """The photo."""
+    depth: Float[np.ndarray, "h w"]
+    """Depth of the surface at each pixel, float32; infinity where there is none."""
+    clearance: UInt8[np.ndarray, "h w"]
+    """0 too near to an edge, the border or the mask's end to be used, 255 far off."""
+    low: Float[np.ndarray, "hl wl 3"]
+    """The photo blurred, on a coarse grid, float32."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class TexelTable:
+    """The texels that hold surface, and where on it each lies."""
+
+    index: Int[np.ndarray, "n"]
+    """Flat index of each texel in the texture, rising."""
+    face: Int[np.ndarray, "n"]
+    """Its face, int32."""
+    inside: Bool[np.ndarray, "n"]
+    """Whether its centre lies in the face; else it is beyond a chart's border, for
+    bilinear lookups."""
+    width: int
+    """Width of the texture in texels."""
+    corners_px: Float[np.ndarray, "m 3 2"]
+    """Corners of all faces in texels."""
+    per_unit: float
+    """Mean texels along a unit of length of the surface."""
+
+    def thinned(self, n: int) -> "TexelTable":
+        """About ``n`` of the texels, evenly spread."""
+        step = max(1, len(self.index) // n)
+        return dataclasses.replace(
+            self,
+            index=self.index[::step],
+            face=self.face[::step],
+            inside=self.inside[::step],
+        )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class TexelSums:
+    """What the photos so far say of each texel; the kernels change it."""
+
+    colours: Float[np.ndarray, "n 8"]
+    """Weight, low band x 3, sharp weight, high band x 3, float32."""
+    weight: Float[np.ndarray, "n"]
+    """Weight of the photo that counts most, float32."""
+    photo: Int[np.ndarray, "n"]
+    """That photo, int16; -1 while no photo sees the texel."""
+    quality: Float[np.ndarray, "n"]
+    """How well that photo sees it, float32 in [0, 1]."""
+
+    @classmethod
+    def zero(cls, n: int) -> "TexelSums":
+        """Sums of ``n`` texels before the first photo."""
+        return cls(
+            np.zeros((n, 8), dtype=np.float32),
+            np.zeros(n, dtype=np.float32),
+            np.full(n, -1, dtype=np.int16),
+            np.zeros(n, dtype=np.float32),
+        )
+
+
+def outward_normals(
+    mesh: Mesh, cameras: Sequence[Camera]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Vertex and face normals that look outwards, also where the file's look inwards.
+
+    Cameras see an object from outside: the side most of what they see has.
+    """
+    votes = 0
+    for camera in cameras:
+        buffer = render_geometry(mesh, camera, min(camera.width, 256))
+        face = buffer.face_index[buffer.covered]
+        view = camera.center - buffer.points[buffer.covered]
+        facing = (mesh.face_normals[face] * view).sum(axis=1)
+        votes += int((facing > 0).sum()) - int((facing < 0).sum())
+    sign = -1.0 if votes < 0 else 1.0
+    return sign * mesh.vertex_normals, sign * mesh.face_normals
+
+
+def fitted_photo(photo: Photo, camera: Camera, mesh: Mesh, table: TexelTable) -> Photo:
+    """The photo, reduced where it has far more pixels than texels would sample."""
+    depth = camera.to_camera(mesh.vertices)[:, 2]
+    if not (depth > 0.0).any():
+        return photo
+    excess = camera.focal_px / (np.median(depth[depth > 0.0]) * table.per_unit)
+    if excess < 1.5:
+        return photo
+    return photo.resized(max(16, int(max(photo.width, photo.height) / excess)))
+
+
+def prepare_photo(
+    mesh: Mesh, photo: Photo, camera: Camera, config: TextureConfig
+) -> PreparedPhoto:
+    """Finds where a photo may be used: on the mesh, off its edges, in its mask."""
+    camera = camera.resized(photo.width, photo.height)
+    buffer = render_geometry(mesh, camera)
+    edges = texels.photo_edges(
+        buffer.depth,
+        buffer.face_index,
+        mesh.face_normals,
+        np.linalg.inv(camera.K).T @ camera.R_cam_world,
+        camera.focal_px,
+        EDGE_JUMP_PX,
+    )
+    usable = (~edges).astype(np.uint8)
+    if photo.mask is not None:
+        usable[~photo.mask] = 0
+    side = max(photo.width, photo.height)
+    # A frame of zeros: the photo's border is an edge too.
+    framed = cv2.copyMakeBorder(usable, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
+    distance = cv2.distanceTransform(framed, cv2.DIST_L2, 3)[1:-1, 1:-1]
+    margin = max(2.0, config.margin * side)
+    feather = max(1.0, config.feather * side)
+    clearance = np.clip((distance - margin) * (254.0 / feather) + 1.0, 0.0, 255.0)
+    clearance[distance < margin] = 0.0
+    return PreparedPhoto(
+        camera,
+        photo.pixels,
+        buffer.depth,
+        clearance.astype(np.uint8),
+        _low_band(photo.pixels, distance >= margin, side),
+    )
+
+
+def _low_band(pixels: np.ndarray, usable: np.ndarray, side: int) -> np.ndarray:
+    """The photo blurred by about 1 % of its side, inside what is usable only."""
+    sigma = 0.012 * side
+    step = max(1, int(sigma / 3.0))
+    height, width = pixels.shape[:2]
+    size = (max(2, width // step), max(2, height // step))
+    cover = cv2.resize(usable.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    inside = cv2.copyTo(pixels, usable.astype(np.uint8))
+    # The fraction of a level that bytes lose here is far below what is visible.
+    sums = cv2.resize(inside, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+    cover = cv2.GaussianBlur(cover, (0, 0), sigma / step)
+    sums = cv2.GaussianBlur(sums, (0, 0), sigma / step)
+    return (sums / np.maximum(cover, 1e-6)[:, :, None]).astype(np.float32)
+
+
+def add_photo(
+    mesh: Mesh,
+    normals: tuple[np.ndarray, np.ndarray],
+    photo: PreparedPhoto,
+    gain: np.ndarray,
+    index: int,
+    table: TexelTable,
+    config: TextureConfig,
+    sums: TexelSums,
+) -> None:
+    """Adds a photo to the sums of the texels that it sees.
+
+    Args:
+        mesh: The surface.
+        normals: Of vertices and faces, by `outward_normals`.
+        photo: By `prepare_photo`.
+        gain: (3,) by which its channels are multiplied.
+        index: The photo's number.
+        table: The texels.
+        config: Settings.
+        sums: Changed.
+    """
+    camera = photo.camera
+    height, width = photo.depth.shape
+    low_scale = np.array([photo.low.shape[1] / width, photo.low.shape[0] / height])
+    texels.add_photo(
+        table.index,
+        table.face,
+        table.width,
+        table.corners_px,
+        mesh.vertices,
+        mesh.faces,
+        *normals,
+        camera.P,
+        np.linalg.inv(camera.K).T @ camera.R_cam_world,
+        camera.center,
+        camera.focal_px,
+        photo.depth,
+        photo.clearance,
+        photo.pixels,
+        photo.low,
+        low_scale,
+        gain,
+        table.per_unit,
+        float(np.cos(np.deg2rad(config.max_angle_deg))),
+        config.mode == "best",
+        index,
+        sums.colours,
+        sums.weight,
+        sums.photo,
+        sums.quality,
+    )
+
+
+def exposure_gains(
+    mesh: Mesh,
+    normals: tuple[np.ndarray, np.ndarray],
+    photos: Sequence[Photo],
+    cameras: Sequence[Camera],
+    table: TexelTable,
+    config: TextureConfig,
+) -> Float[np.ndarray, "n 3"]:
+    """Gains by channel that make photos agree on the texels that two of them see.
+
+    Least squares on the medians of the log ratios of all pairs, so that a highlight
+    or a passer-by does not count; the gains' geometric mean is 1. Small photos do.
+    """
+    few = table.thinned(EXPOSURE_TEXELS)
+    logs = []
+    for photo, camera in zip(photos, cameras, strict=True):
+        sums = TexelSums.zero(len(few.index))
+        prepared = prepare_photo(mesh, photo.resized(EXPOSURE_SIDE_PX), camera, config)
+        add_photo(mesh, normals, prepared, np.ones(3), 0, few, config, sums)
+        colours = np.full((len(few.index), 3), np.nan, dtype=np.float32)
+        seen = sums.photo >= 0
+        values = sums.colours[seen]
+        colours[seen] = values[:, 1:4] / values[:, :1] + values[:, 5:] / values[:, 4:5]
+        # Neither black nor clipped: their ratios mean nothing.
+        colours[~((colours > 8.0) & (colours < 247.0)).all(axis=1)] = np.nan
+        logs.append(np.log(colours))
+    rows, ratios = [np.ones(len(photos))], [np.zeros(3)]
+    for i in range(len(photos)):
+        for j in range(i):
+            difference = logs[i] - logs[j]
+            difference = difference[np.isfinite(difference[:, 0])]
+            if len(difference) < MIN_JOINT_TEXELS:
+                continue
+            row = np.zeros(len(photos))
+            row[i], row[j] = 1.0, -1.0
+            # Pairs that share more say more, as far as their medians are noise.
+            weight = np.sqrt(min(1.0, len(difference) / 5000.0))
+            rows.append(weight * row)
+            ratios.append(-weight * np.median(difference, axis=0))
+    # Photos that share nothing with others are left as they are (minimum norm).
+    log_gains = np.linalg.lstsq(np.array(rows), np.array(ratios), rcond=None)[0]
+    return np.exp(log_gains)

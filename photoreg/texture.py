@@ -1,0 +1,291 @@
+"""Photos baked into one texture: each texel from the photos that truly see it."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+import scipy.sparse
+from jaxtyping import Float, Int, UInt8
+
+from photoreg import texels
+from photoreg.atlas import Atlas, make_atlas
+from photoreg.camera import Camera
+from photoreg.errors import InputError
+from photoreg.mesh import Mesh
+from photoreg.painting import (
+    MAX_SIZE,
+    MIN_SIZE,
+    TexelSums,
+    TexelTable,
+    TextureConfig,
+    add_photo,
+    exposure_gains,
+    fitted_photo,
+    outward_normals,
+    prepare_photo,
+)
+from photoreg.photo import Photo
+
+GROWN_RINGS = 2
+"""Texels beyond a chart's border that are baked like those inside."""
+MIN_SEEN_AT_VERTEX = 0.3
+DIFFUSION_SWEEPS = 200
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class TexturedMesh:
+    """A mesh with one texture, in its original coordinates and vertex order."""
+
+    mesh: Mesh
+    """The surface as it was given."""
+    atlas: Atlas
+    """Where each face lies in the texture."""
+    texture: UInt8[np.ndarray, "h w 3"]
+    """sRGB, row 0 at the top (v = 1)."""
+    photo_index: Int[np.ndarray, "h w"]
+    """Which photo counts most at each texel, int16; -1: none sees it, -2: no surface."""
+    quality: UInt8[np.ndarray, "h w"]
+    """How well it is seen: 255 face-on with a photo pixel or more for each texel."""
+    seen_share: float
+    """Share of the surface's area that is painted from photos, in [0, 1]."""
+    seen_share_by_photo: tuple[float, ...]
+    """Share of the area for which each photo is the one that counts most."""
+    gains: Float[np.ndarray, "n 3"]
+    """By which each photo's channels were multiplied to even out exposure."""
+
+    @property
+    def vertices(self) -> Float[np.ndarray, "k 3"]:
+        """Vertices in the order of the mesh."""
+        return self.mesh.vertices
+
+    @property
+    def faces(self) -> Int[np.ndarray, "m 3"]:
+        """Vertex indices of the faces, as in the mesh."""
+        return self.mesh.faces
+
+    @property
+    def corner_uv(self) -> Float[np.ndarray, "m 3 2"]:
+        """Texture coordinates of each face's corners, v upwards."""
+        return self.atlas.uv[self.atlas.uv_faces]
+
+    def coverage_picture(self) -> UInt8[np.ndarray, "h w 3"]:
+        """Which photo, by hue, and how well, by brightness; unseen surface is grey."""
+        picture = np.zeros((*self.photo_index.shape, 3), dtype=np.uint8)
+        picture[self.photo_index == -1] = 60
+        n_photos = len(self.gains)
+        for photo in range(n_photos):
+            # The golden angle keeps the hues of any number of photos apart.
+            hsv = np.array([[[(100 + 222.5 * photo) % 360 / 2, 190, 255]]], np.uint8)
+            colour = cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB)[0, 0]
+            texel = self.photo_index == photo
+            shade = 0.35 + 0.65 * self.quality[texel, None] / 255.0
+            picture[texel] = (shade * colour).astype(np.uint8)
+        return picture
+
+
+def bake_texture(
+    mesh: Mesh,
+    photos: Sequence[Photo],
+    cameras: Sequence[Camera],
+    config: TextureConfig | None = None,
+    atlas: Atlas | None = None,
+) -> TexturedMesh:
+    """Paints the photos onto the mesh.
+
+    Each texel takes colours from the photos that see its surface point: inside the
+    photo and its mask, facing it, not occluded, away from silhouettes. Weights grow
+    with resolution, with the angle and with the distance to edges.
+
+    Args:
+        mesh: The surface.
+        photos: Any number of photos.
+        cameras: One camera a photo, for its full size.
+        config: Settings; None: the defaults.
+        atlas: Texture coordinates made before for this mesh; None: made now.
+
+    Raises:
+        InputError: if photos and cameras do not match.
+    """
+    config = config or TextureConfig()
+    _check_photos(photos, cameras)
+    atlas = atlas or make_atlas(mesh, config.keep_uv)
+    density = _pixels_per_unit(mesh, cameras)
+    width, height = _texture_size(mesh, atlas, density, config)
+    table = _texel_table(mesh, atlas, width, height)
+    normals = outward_normals(mesh, cameras)
+
+    gains = np.ones((len(photos), 3))
+    if config.even_exposure and len(photos) > 1:
+        gains = exposure_gains(mesh, normals, photos, cameras, table, config)
+    sums = TexelSums.zero(len(table.index))
+    for i, (photo, camera) in enumerate(zip(photos, cameras, strict=True)):
+        prepared = prepare_photo(
+            mesh, fitted_photo(photo, camera, mesh, table), camera, config
+        )
+        add_photo(mesh, normals, prepared, gains[i], i, table, config, sums)
+
+    texture = np.zeros((height * width, 3), dtype=np.uint8)
+    texture[:] = config.unseen_colour
+    texels.write_texels(table.index, sums.colours, texture)
+    seen = sums.photo >= 0
+    if config.unseen == "diffuse" and seen.any() and not seen.all():
+        _fill_unseen(mesh, table, seen, texture)
+    photo_index = np.full(height * width, -2, dtype=np.int16)
+    photo_index[table.index[table.inside]] = sums.photo[table.inside]
+    quality = np.zeros(height * width, dtype=np.uint8)
+    quality[table.index] = np.rint(255.0 * sums.quality)
+    quality[photo_index < 0] = 0
+    shares = _area_shares(mesh, table, sums.photo, len(photos))
+    return TexturedMesh(
+        mesh,
+        atlas,
+        _with_gutter(texture.reshape(height, width, 3), table),
+        photo_index.reshape(height, width),
+        quality.reshape(height, width),
+        float(shares.sum()),
+        tuple(float(share) for share in shares),
+        gains,
+    )
+
+
+def _check_photos(photos: Sequence[Photo], cameras: Sequence[Camera]) -> None:
+    if len(photos) != len(cameras) or len(photos) == 0:
+        raise InputError(
+            f"Texture baking needs one camera a photo, but got {len(photos)} photos "
+            f"and {len(cameras)} cameras."
+        )
+    for photo, camera in zip(photos, cameras, strict=True):
+        if (photo.width, photo.height) != (camera.width, camera.height):
+            raise InputError(
+                f"{photo.name} is {photo.width}x{photo.height} px, but its camera is "
+                f"for {camera.width}x{camera.height} px."
+            )
+
+
+def _pixels_per_unit(mesh: Mesh, cameras: Sequence[Camera]) -> float:
+    """Resolution on the surface of the nearest camera: its median over the faces seen.
+
+    Foreshortening is left out: where one photo sees a face flat, another will not.
+    """
+    centers = mesh.vertices[mesh.faces].mean(axis=1)
+    best = np.zeros(len(centers))
+    for camera in cameras:
+        pixels = camera.project(centers)
+        inside = camera.contains(pixels)
+        depth = camera.to_camera(centers[inside])[:, 2]
+        best[inside] = np.maximum(best[inside], camera.focal_px / depth)
+    seen = best > 0.0
+    if not seen.any():
+        return 0.0
+    order = np.argsort(best[seen])
+    cumulative = np.cumsum(mesh.face_areas[seen][order])
+    middle = min(np.searchsorted(cumulative, 0.5 * cumulative[-1]), seen.sum() - 1)
+    return float(best[seen][order][middle])
+
+
+def _uv_area(atlas: Atlas) -> float:
+    """Area of all charts, where the whole texture is 1."""
+    a, b, c = np.moveaxis(atlas.uv[atlas.uv_faces], 1, 0)
+    ab, ac = b - a, c - a
+    return float(0.5 * np.abs(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]).sum())
+
+
+def _texture_size(
+    mesh: Mesh, atlas: Atlas, pixels_per_unit: float, config: TextureConfig
+) -> tuple[int, int]:
+    longer = config.size
+    if longer == "auto":
+        n_texels = mesh.area * pixels_per_unit**2 / max(_uv_area(atlas), 1e-6)
+        side = np.sqrt(n_texels * max(atlas.aspect, 1.0 / atlas.aspect))
+        longer = int(np.clip(64 * np.ceil(side / 64), 256, MAX_SIZE))
+    shorter = longer * min(atlas.aspect, 1.0 / atlas.aspect)
+    shorter = min(longer, max(MIN_SIZE, int(64 * np.ceil(shorter / 64 - 1e-9))))
+    return (longer, shorter) if atlas.aspect >= 1.0 else (shorter, longer)
+
+
+def _texel_table(mesh: Mesh, atlas: Atlas, width: int, height: int) -> TexelTable:
+    face = atlas.faces_at_texels(width, height)
+    inside = face >= 0
+    for _ in range(GROWN_RINGS):
+        face = texels.grow_faces(face)
+    index = np.flatnonzero(face >= 0)
+    return TexelTable(
+        index,
+        face.ravel()[index],
+        inside.ravel()[index],
+        width,
+        atlas.corners_px(width, height),
+        float(np.sqrt(_uv_area(atlas) * width * height / mesh.area)),
+    )
+
+
+def _fill_unseen(
+    mesh: Mesh, table: TexelTable, seen: np.ndarray, texture: np.ndarray
+) -> None:
+    """Spreads the colours of seen vertices over the surface, across all charts."""
+    faces = mesh.position_index[mesh.faces]
+    n = len(mesh.vertices)
+    colours, share = texels.gather_at_vertices(
+        table.index, table.face, seen, table.width, table.corners_px, faces, n, texture
+    )
+    known = share >= MIN_SEEN_AT_VERTEX
+    if not known.any():
+        known = share > 0.0
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    ones = np.ones(2 * len(edges), dtype=np.int8)
+    graph = scipy.sparse.csr_array(
+        (ones, (np.r_[edges[:, 0], edges[:, 1]], np.r_[edges[:, 1], edges[:, 0]])),
+        shape=(n, n),
+    )
+    reached = texels.diffuse(
+        graph.indptr, graph.indices, colours, known, DIFFUSION_SWEEPS
+    )
+    # A part of the mesh that no photo sees at all takes the mean of what is seen.
+    colours[~reached] = colours[known].mean(axis=0)
+    texels.write_from_vertices(
+        table.index[~seen],
+        table.face[~seen],
+        table.width,
+        table.corners_px,
+        faces,
+        colours,
+        texture,
+    )
+
+
+def _area_shares(
+    mesh: Mesh, table: TexelTable, photo: np.ndarray, n_photos: int
+) -> Float[np.ndarray, "n"]:
+    """Share of the surface's area for which each photo counts most."""
+    face, photo = table.face[table.inside], photo[table.inside]
+    n_texels = np.bincount(face, minlength=len(mesh.faces))
+    # Faces too small for a texel are left out of the account.
+    area = mesh.face_areas / np.maximum(n_texels, 1)
+    total = float(mesh.face_areas[n_texels > 0].sum())
+    seen = photo >= 0
+    sums = np.bincount(photo[seen], weights=area[face[seen]], minlength=n_photos)
+    return sums / total if total > 0.0 else sums
+
+
+def _with_gutter(
+    texture: UInt8[np.ndarray, "h w 3"], table: TexelTable
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The texture with each texel off the charts in the colour of the nearest on them.
+
+    Mipmaps and compression reach far beyond a chart's border.
+    """
+    empty = np.ones(texture.shape[:2], dtype=np.uint8)
+    empty.ravel()[table.index] = 0
+    if not empty.any():
+        return texture
+    labels = cv2.distanceTransformWithLabels(
+        empty, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
+    )[1]
+    flat = np.asarray(labels, dtype=np.int32).reshape(-1)
+    texel_of_label = np.zeros(int(flat.max()) + 1, dtype=np.int64)
+    texel_of_label[flat[table.index]] = table.index
+    gutter = np.flatnonzero(empty)
+    rows = texture.reshape(-1, 3)
+    rows[gutter] = rows[texel_of_label[flat[gutter]]]
+    return texture
