@@ -1,7 +1,9 @@
 """Everything a refinement can be told, and the named settings."""
 
 import dataclasses
-from typing import Literal
+from typing import Annotated, Literal
+
+import tyro
 
 from photoreg.alignment import PolishConfig
 from photoreg.consistency import ConsistencyConfig
@@ -52,7 +54,7 @@ class RegistrationConfig:
     restart: rays, depth, or normals (not at all, as in the paper)."""
     consistency: ConsistencyConfig = REDUCED_PHOTOS
     """How photos are compared in the search."""
-    genetic: GeneticConfig = SHORT_SEARCH
+    genetic: Annotated[GeneticConfig, tyro.conf.arg(name="")] = SHORT_SEARCH
     """The search."""
     polish_after: bool = True
     """Whether the polish follows the search."""
