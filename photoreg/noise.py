@@ -43,7 +43,7 @@ class SolidNoise:
         )
 
 
-@nb.njit(nogil=True, cache=True)
+@nb.njit(nogil=True, cache=True, fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _sum_octaves(points, table, turns, shifts, frequency, octaves, gain):  # noqa: ANN001, ANN202
     mask = table.shape[0] - 1
     out = np.zeros((points.shape[0], 3), dtype=np.float32)
@@ -54,45 +54,43 @@ def _sum_octaves(points, table, turns, shifts, frequency, octaves, gain):  # noq
     scale = np.float32(1.8 / np.sqrt(power))
     for n in range(points.shape[0]):
         px, py, pz = points[n, 0], points[n, 1], points[n, 2]
-        r, g, b = np.float32(0.0), np.float32(0.0), np.float32(0.0)
-        step, amplitude = frequency, np.float32(1.0)
+        red, green, blue = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+        step, amplitude = frequency, scale
         for octave in range(octaves):
             turn, shift = turns[octave], shifts[octave]
             x = (turn[0, 0] * px + turn[0, 1] * py + turn[0, 2] * pz) * step + shift[0]
             y = (turn[1, 0] * px + turn[1, 1] * py + turn[1, 2] * pz) * step + shift[1]
             z = (turn[2, 0] * px + turn[2, 1] * py + turn[2, 2] * pz) * step + shift[2]
-            ix, iy, iz = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
-            fx, fy, fz = np.float32(x - ix), np.float32(y - iy), np.float32(z - iz)
-            # Quintic steps: the noise has continuous second derivatives.
-            fx = (
-                fx
-                * fx
-                * fx
-                * (fx * (fx * np.float32(6) - np.float32(15)) + np.float32(10))
-            )
-            fy = (
-                fy
-                * fy
-                * fy
-                * (fy * (fy * np.float32(6) - np.float32(15)) + np.float32(10))
-            )
-            fz = (
-                fz
-                * fz
-                * fz
-                * (fz * (fz * np.float32(6) - np.float32(15)) + np.float32(10))
-            )
-            for corner in range(8):
-                cx, cy, cz = corner & 1, (corner >> 1) & 1, corner >> 2
-                weight = amplitude
-                weight *= fx if cx else np.float32(1) - fx
-                weight *= fy if cy else np.float32(1) - fy
-                weight *= fz if cz else np.float32(1) - fz
-                i, j, k = (ix + cx) & mask, (iy + cy) & mask, (iz + cz) & mask
-                r += weight * table[i, j, k, 0]
-                g += weight * table[i, j, k, 1]
-                b += weight * table[i, j, k, 2]
+            floor_x, floor_y, floor_z = np.floor(x), np.floor(y), np.floor(z)
+            i, j, k = int(floor_x) & mask, int(floor_y) & mask, int(floor_z) & mask
+            i1, j1, k1 = (i + 1) & mask, (j + 1) & mask, (k + 1) & mask
+            fx = _quintic(np.float32(x - floor_x))
+            fy = _quintic(np.float32(y - floor_y))
+            fz = amplitude * _quintic(np.float32(z - floor_z))
+            gx, gy, gz = np.float32(1) - fx, np.float32(1) - fy, amplitude - fz
+            w00, w01, w10, w11 = gx * gy, gx * fy, fx * gy, fx * fy
+            for channel in range(3):
+                near = w00 * table[i, j, k, channel] + w01 * table[i, j1, k, channel]
+                near += w10 * table[i1, j, k, channel] + w11 * table[i1, j1, k, channel]
+                far = w00 * table[i, j, k1, channel] + w01 * table[i, j1, k1, channel]
+                far += (
+                    w10 * table[i1, j, k1, channel] + w11 * table[i1, j1, k1, channel]
+                )
+                value = gz * near + fz * far
+                if channel == 0:
+                    red += value
+                elif channel == 1:
+                    green += value
+                else:
+                    blue += value
             step *= 2.0
             amplitude *= np.float32(gain)
-        out[n, 0], out[n, 1], out[n, 2] = r * scale, g * scale, b * scale
+        out[n, 0], out[n, 1], out[n, 2] = red, green, blue
     return out
+
+
+@nb.njit(nogil=True, cache=True)
+def _quintic(t):  # noqa: ANN001, ANN202
+    """A step from 0 to 1 with continuous second derivatives (Perlin, 2002)."""
+    six, fifteen, ten = np.float32(6), np.float32(15), np.float32(10)
+    return t * t * t * (t * (t * six - fifteen) + ten)

@@ -8,7 +8,7 @@ from photoreg.noise import SolidNoise
 
 MEAN_COLOUR = np.array([0.36, 0.30, 0.25])
 """Mean albedo, linear RGB: a warm grey."""
-GREY = np.array([0.75, 0.75, 0.75])
+GREY = np.array([0.78, 0.78, 0.78])
 WARMTH = np.array([0.22, 0.0, -0.28])
 TINT = np.array([-0.06, 0.06, -0.02])
 """How each channel of the noise changes the colour, as fractions of the mean: light
@@ -54,7 +54,7 @@ def rock_mesh(seed: int, subdivisions: int = 5) -> Mesh:
     directions, faces = icosphere(subdivisions)
     noise = SolidNoise(seed)
     bumps = noise(directions, 1.1, octaves=3, gain=0.45)[:, 0].astype(np.float64)
-    radii = 1.0 + 0.13 * np.clip(bumps, -2.2, 2.2)
+    radii = 1.0 + 0.16 * np.clip(bumps, -2.2, 2.2)
     vertices = directions * radii[:, None] * np.array([1.15, 0.85, 0.8]) + CENTER
     return Mesh(vertices, faces, name="rock.ply")
 
@@ -66,7 +66,7 @@ def rock_albedo(
 
     ``contrast`` scales the differences from the mean colour.
     """
-    clouds = noise(points, 1.7, octaves=7, gain=0.7)
+    clouds = noise(points, 1.7, octaves=7, gain=0.8)
     spread = clouds[:, :1] * GREY + clouds[:, 1:2] * WARMTH + clouds[:, 2:] * TINT
     colours = MEAN_COLOUR * (1.0 + np.float32(contrast) * spread)
     return np.clip(colours, 0.01, 0.98)

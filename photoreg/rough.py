@@ -55,8 +55,12 @@ def rough_start(
         )
     points = sample_surface(mesh, N_POINTS, seed=1).points
     rng = np.random.default_rng([seed, 0x2064])
+    # Drawn off the borders, as other points on the surface measure a little otherwise.
+    margin = 0.1 * (high - low)
     return [
-        _rough_camera(mesh, camera, points, rng.uniform(low, high), rng)
+        _rough_camera(
+            mesh, camera, points, rng.uniform(low + margin, high - margin), rng
+        )
         for camera in cameras
     ]
 

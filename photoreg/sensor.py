@@ -1,10 +1,12 @@
 """From light to the bytes of a photo: occluder, lens, exposure, noise, encoding."""
 
+import io
 from pathlib import Path
 
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
+from PIL import Image
 
 from photoreg.noise import SolidNoise
 from photoreg.render import encode_srgb
@@ -70,6 +72,6 @@ def encode_photo(
 
 def decode_photo(data: bytes) -> UInt8[np.ndarray, "h w 3"]:
     """Pixels of a file made by `encode_photo`."""
-    decoded = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
-    assert decoded is not None  # It was encoded by this program.
-    return np.ascontiguousarray(decoded[:, :, ::-1])
+    # Pillow, as `load_photo` does: decoders differ in the last bit of a JPEG.
+    with Image.open(io.BytesIO(data)) as image:
+        return np.array(image.convert("RGB"), dtype=np.uint8)

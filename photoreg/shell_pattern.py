@@ -143,7 +143,7 @@ def shell_albedo(
     colour = np.where((layer == INSIDE)[:, None], inside, colour)
     # The pillar wears the lip's enamel, which runs out over the pattern beside it.
     callus = _step(0.14, -0.05, beyond + 0.07 * warp[:, 0])
-    callus = np.where(layer == OUTSIDE, 0.9 * callus, np.where(layer == RIM, 1.0, 0.0))
+    callus = np.where(layer == OUTSIDE, callus, np.where(layer == RIM, 1.0, 0.0))
     colour = _mixed(colour, worn, callus)
     return np.clip(MEAN_COLOUR + contrast * (colour - MEAN_COLOUR), 0.01, 0.95)
 

@@ -147,13 +147,16 @@ def _shades(
         if index > 0 and settings.light == "same":
             shades.append(shades[0])
             continue
-        # The lamp stands up and to the left of the first photo; a moved one changes
-        # sides with each photo.
         right, down, forward = camera.R_cam_world
-        side = -1.0 if index % 2 == 0 else 1.0
-        key = side * 0.75 * right - 0.85 * down - 0.7 * forward
+        if settings.light == "same":
+            # Up and to the left of the first photo, beside a bright sky.
+            key, share = -0.75 * right - 0.85 * down - 0.7 * forward, 0.6
+        else:
+            # On the other side in each photo, and so strong that little stays in place.
+            side = -1.0 if index % 2 == 0 else 1.0
+            key, share = side * right - 0.6 * down - 0.6 * forward, 0.85
         light = sky_and_key_light(
-            world.mesh, UP, key, key_share=0.6, key_spread=0.2, normals=world.normals
+            world.mesh, UP, key, share, key_spread=0.2, normals=world.normals
         )
         shades.append(_lit(world, world.exposure * light))
     return tuple(shades)

@@ -65,7 +65,7 @@ def _rock(options: SceneOptions) -> World:
         focal_share=1.17,
         fill=0.76,
         elevations_deg=(15.0, 20.0),
-        exposure=1.0,
+        exposure=1.2,
     )
 
 
