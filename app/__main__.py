@@ -6,4 +6,4 @@ from photoreg import cli
 from photoreg.__main__ import app_command
 
 if __name__ == "__main__":
-    sys.exit(cli.run({"app": app_command}, ["app", *sys.argv[1:]]))
+    sys.exit(cli.run(["app", *sys.argv[1:]], {"app": app_command}))

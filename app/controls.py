@@ -11,7 +11,7 @@ from photoreg.errors import PhotoregError
 
 log = logging.getLogger(__name__)
 
-BRAND = (17, 128, 120)
+BRAND = (38, 166, 154)
 MESSAGE_SECONDS = 9.0
 
 

@@ -4,7 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
-from app.session import OverlayStyle, PresetName
+from app.session import CurvePoint, OverlayStyle, PresetName
 from photoreg.camera import Camera
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
@@ -100,6 +100,8 @@ class Live:
 
     progress: Any
     """A ``photoreg.registration.Progress``."""
+    curve: tuple[CurvePoint, ...]
+    """The cost curve since the last of these."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ import dataclasses
 from app import session as rules
 from app.messages import Live, MeshLoaded, PhotoLoaded, Picture, Refined
 from app.placement import first_camera
-from app.session import CurvePoint, Document, Run, State
+from app.session import Document, Run, State
 from photoreg.camera import Camera
 
 MAX_CURVE_POINTS = 600
@@ -44,15 +44,9 @@ def advanced(state: State, event: Live) -> State:
     if not state.run.is_active:
         return state
     progress, run = event.progress, state.run
-    curve = run.curve
-    if progress.best_cost > 0.0 and progress.best_cost < float("inf"):
-        median = progress.median_cost
-        if not 0.0 < median < float("inf"):
-            median = progress.best_cost
-        point = CurvePoint(progress.elapsed_s, progress.best_cost, median)
-        curve = (*curve, point)
-        if len(curve) > MAX_CURVE_POINTS:
-            curve = (*curve[:-1:2], curve[-1])
+    curve = (*run.curve, *event.curve)
+    if len(curve) > MAX_CURVE_POINTS:
+        curve = (*curve[:-1:2], curve[-1])
     run = dataclasses.replace(
         run,
         status="running" if run.status == "starting" else run.status,
@@ -63,14 +57,8 @@ def advanced(state: State, event: Live) -> State:
         evaluations=progress.evaluations,
         cameras=tuple(progress.cameras),
         curve=curve,
-        start_cost=run.start_cost if run.start_cost is not None else _first(curve),
-        cost=progress.best_cost,
     )
     return dataclasses.replace(state, run=run)
-
-
-def _first(curve: tuple[CurvePoint, ...]) -> float | None:
-    return curve[0].best if curve else None
 
 
 def measured(state: State, event: Picture) -> State:

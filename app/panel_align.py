@@ -47,7 +47,7 @@ class AlignPanel:
         with gui.add_folder("Lens and roll"):
             self._focal = gui.add_number("Focal length, px", 1000.0, step=1.0)
             self._slider = gui.add_slider(
-                "On 35 mm film, mm", *FILM_RANGE_MM, step=0.1, initial_value=50.0
+                "35 mm film, mm", *FILM_RANGE_MM, step=0.1, initial_value=50.0
             )
             self._keep = gui.add_checkbox(
                 "Keep the object's size", True, hint="The camera moves back or forth."

@@ -1,5 +1,7 @@
 """Tab 3, Refine: start, watch, stop, accept or revert; and the overlay beside it."""
 
+from typing import Any
+
 import numpy as np
 import viser
 import viser.uplot
@@ -32,6 +34,14 @@ STYLE_HELP: dict[OverlayStyle, str] = {
     "difference": "Grey where both agree; orange and blue where one is brighter.",
     "edges": "Edges of the carried photo, in colour, over the other in grey.",
 }
+INK, GRID = "#98a2b3", "rgba(128,140,155,.18)"
+NO_DOTS: Any = {"show": False}
+SERIES: tuple[viser.uplot.Series, ...] = (
+    {"label": "step"},
+    {"label": "best", "stroke": "#2dbeaf", "width": 2.5, "points": NO_DOTS},
+    {"label": "median", "stroke": INK, "width": 1.2, "dash": (5, 4), "points": NO_DOTS},
+)
+EMPTY_CURVE = (np.array([0.0, 1.0]), np.full(2, np.nan), np.full(2, np.nan))
 EMPTY_PICTURE = np.full((480, 640, 3), 38, dtype=np.uint8)
 
 
@@ -123,6 +133,8 @@ def _report(state: State, ready: bool) -> str:
         )
     if run.start_cost is not None and run.cost is not None:
         rows.append(("Cost", number(run.start_cost), number(run.cost)))
+    elif run.curve:
+        rows.append(("Cost", "100 %", f"{number(100 * run.curve[-1].best)} %"))
     table = ""
     if rows:
         table = "\n\n| | start | now |\n|:--|--:|--:|\n" + "\n".join(
@@ -146,25 +158,23 @@ class OverlayPanel:
     def __init__(self, gui: viser.GuiApi, conductor: Conductor) -> None:
         self._conductor = conductor
         self._shown: bytes | None = None
-        self._curve: object = None
+        self._curve: object = ()
         session = conductor.session
         self._caption = gui.add_markdown("")
         self._image = gui.add_image(EMPTY_PICTURE, format="jpeg")
         self._styles = gui.add_button_group("Show as", tuple(STYLES))
         self._help = gui.add_markdown("")
         self._plot = gui.add_uplot(
-            (np.array([0.0, 1.0]), np.array([1.0, 1.0]), np.array([1.0, 1.0])),
-            (
-                {"label": "seconds"},
-                {"label": "best", "stroke": "#2dbeaf", "width": 2.5},
-                {"label": "median", "stroke": "#98a2b3", "width": 1.2, "dash": (5, 4)},
-            ),
-            title="Photo-inconsistency (log scale)",
+            EMPTY_CURVE,
+            SERIES,
+            title="Cost relative to the start, by step",
             scales={"x": {"time": False}, "y": {"distr": 3}},
             axes=(
-                {"stroke": "#98a2b3", "grid": {"stroke": "rgba(128,140,155,.18)"}},
-                {"stroke": "#98a2b3", "grid": {"stroke": "rgba(128,140,155,.18)"}},
+                {"stroke": INK, "grid": {"stroke": GRID}},
+                {"stroke": INK, "grid": {"stroke": GRID}, "size": 58},
             ),
+            legend={"show": False},
+            padding=(10, 14, 0, 0),
             height=210,
             visible=False,
         )
@@ -195,11 +205,12 @@ class OverlayPanel:
             # would encode them again, on the thread that serves the page.
             self._image._data = picture
         curve = state.run.curve
-        put(self._plot, "visible", len(curve) > 1)
-        if len(curve) > 1 and curve is not self._curve:
+        if curve is not self._curve:
             self._curve = curve
-            self._plot.data = (
-                np.array([point.elapsed_s for point in curve]),
-                np.array([point.best for point in curve]),
-                np.array([point.median for point in curve]),
-            )
+            put(self._plot, "visible", len(curve) > 1)
+            if len(curve) > 1:
+                self._plot.data = (
+                    np.array([float(point.step) for point in curve]),
+                    np.array([point.best for point in curve]),
+                    np.array([point.median for point in curve]),
+                )

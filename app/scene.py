@@ -22,10 +22,12 @@ SELECTED_COLOUR = (45, 190, 175)
 FRUSTUM_COLOUR = (140, 150, 170)
 GHOST_COLOUR = (120, 120, 130)
 IMAGE_SIDE_PX = 640
-FRUSTUM_WIDTH = 0.62
+FRUSTUM_WIDTH = 0.9
 """Diagonal of the photo in a frustum, in page units (the mesh's diagonal is 2)."""
 
 GIZMO_PX = 105.0
+N_OUTWARD_RAYS = 400
+OUTWARD_SHARE = 0.96
 
 
 class Scene:
@@ -88,12 +90,14 @@ class Scene:
                 self._clay = self._server.scene.add_mesh_simple(
                     "/solid/clay", vertices, self._mesh.faces, color=CLAY, side="double"
                 )
+                # Seen through, the far side would only confuse.
+                faces = outward_faces(self._mesh)
                 self._clear = self._server.scene.add_mesh_simple(
                     "/clear/clay",
                     vertices,
-                    self._mesh.faces,
+                    self._mesh.faces if faces is None else faces,
                     color=CLAY,
-                    side="double",
+                    side="double" if faces is None else "front",
                     opacity=state.mesh_opacity,
                     cast_shadow=False,
                 )
@@ -231,6 +235,30 @@ class Frustum:
     def remove(self) -> None:
         """Takes the nodes out of the scene."""
         self._root.remove()
+
+
+def outward_faces(mesh: Mesh) -> np.ndarray | None:
+    """The faces, wound so that they look outwards; None where that has no meaning.
+
+    Rays from all around meet the outside first: nearly all of them must agree.
+    """
+    k = np.arange(N_OUTWARD_RAYS) + 0.5
+    polar, azimuth = np.arccos(1.0 - 2.0 * k / N_OUTWARD_RAYS), k * np.pi * (1 + 5**0.5)
+    around = np.column_stack(
+        [
+            np.sin(polar) * np.cos(azimuth),
+            np.sin(polar) * np.sin(azimuth),
+            np.cos(polar),
+        ]
+    )
+    faces, _ = mesh.first_hits(mesh.centroid + mesh.diagonal * around, -around)
+    met = faces >= 0
+    if not met.any():
+        return None
+    facing = np.einsum("ij,ij->i", mesh.face_normals[faces[met]], around[met]) > 0.0
+    if facing.mean() > OUTWARD_SHARE:
+        return mesh.faces
+    return mesh.faces[:, ::-1] if facing.mean() < 1.0 - OUTWARD_SHARE else None
 
 
 def frustum_corners(camera: Camera) -> np.ndarray:

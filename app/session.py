@@ -104,9 +104,12 @@ class Document:
 class CurvePoint:
     """One point of the cost curve."""
 
-    elapsed_s: float
+    step: int
+    """Which step of search and polish it is, from 0."""
     best: float
+    """Cost of the best, relative to the first."""
     median: float
+    """The same of the population's median; equal to ``best`` without one."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,7 +128,9 @@ class Run:
     evaluations: int = 0
     curve: tuple[CurvePoint, ...] = ()
     start_cost: float | None = None
+    """Photo-inconsistency of the start; known at the end."""
     cost: float | None = None
+    """The same of the answer, measured in the same way."""
     start_error_px: float | None = None
     """Mean projection error against the truth, where it is known."""
     error_px: float | None = None
@@ -407,7 +412,8 @@ def accepted(state: State) -> State:
     if state.run.status != "review":
         raise RefinementError("There is no finished refinement to accept.")
     cameras = dict(zip(state.run.photo_names, state.run.cameras, strict=True))
-    return dataclasses.replace(with_cameras(cameras)(state), run=Run())
+    run = Run(error_px=state.run.error_px)
+    return dataclasses.replace(with_cameras(cameras)(state), run=run)
 
 
 def reverted(state: State) -> State:

@@ -19,7 +19,7 @@ from app.scene import Scene, frustum_corners
 from app.session import Session, State, with_entry
 from photoreg.camera import Camera
 
-FREE_FOV = np.radians(42.0)
+FREE_FOV = np.radians(24.0)
 LONG_LOOK = 10.0
 ECHO_TOLERANCE = 1e-6
 """The browser answers a pose with itself, to 1e-15; a hand moves it by more."""
@@ -35,8 +35,8 @@ BACKDROP = (38, 41, 48)
 MAX_BACKGROUND_PX = 1600
 FIT = 0.97
 
-HOME_AZIMUTHS_DEG = (-78.0, -60.0, -40.0, 40.0, 60.0, 78.0)
-HOME_ELEVATIONS_DEG = (16.0, 26.0, 36.0)
+HOME_AZIMUTHS_DEG = (-78.0, -60.0, -44.0, 44.0, 60.0, 78.0)
+HOME_ELEVATIONS_DEG = (14.0, 24.0, 34.0)
 HOME_SHARE = 0.9
 
 Mode = Literal["free", "move", "inspect"]
@@ -306,7 +306,7 @@ def home_view(
 
     From behind the cameras, to their side and above, so that the object's front and
     what the cameras look at are seen together; of several such views the one in which
-    it all appears largest in a canvas of this shape.
+    the object appears largest in a canvas of this shape.
     """
     up = np.array(state.document.up)
     box = np.array([[-0.58, -0.58, -0.58], [0.58, 0.58, 0.58]])
@@ -332,7 +332,9 @@ def home_view(
             level = np.cos(azimuth) * toward + np.sin(azimuth) * aside
             direction = np.cos(elevation) * level + np.sin(elevation) * up
             views.append(_fitting_view(np.array(cloud), direction, up, aspect))
-    distance, direction, target = min(views, key=lambda view: view[0])
+    distance, direction, target = min(
+        views, key=lambda view: float(np.linalg.norm(view[2] + view[0] * view[1]))
+    )
     return target + distance * direction, target
 
 

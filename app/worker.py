@@ -6,6 +6,7 @@ refined and textures baked in one spawned process, and the page stays quick.
 """
 
 import contextlib
+import dataclasses
 import logging
 import multiprocessing
 import queue
@@ -138,10 +139,14 @@ def _enter(connection: Connection, warm_up: bool) -> None:
 
 
 def newest(events: list[Event]) -> list[Event]:
-    """Leaves of the passing events (progress, pictures) only the last of each kind."""
+    """Leaves of the passing events (progress, pictures) only the last of each kind.
+
+    The cost curve is kept whole: it is told by its changes.
+    """
     last = {type(event): i for i, event in enumerate(events)}
+    curve = tuple(p for event in events if isinstance(event, Live) for p in event.curve)
     return [
-        event
+        dataclasses.replace(event, curve=curve) if isinstance(event, Live) else event
         for i, event in enumerate(events)
         if not isinstance(event, Live | Picture) or last[type(event)] == i
     ]

@@ -10,6 +10,7 @@ from multiprocessing.connection import Connection
 import cv2
 import numpy as np
 
+from app.baking import Baker
 from app.messages import (
     Bake,
     DrawOverlay,
@@ -31,6 +32,7 @@ from app.messages import (
     Working,
 )
 from app.opening import DISPLAY_FACES
+from app.session import CurvePoint
 from app.warm_up import warm_up_steps
 from photoreg.camera import Camera
 from photoreg.errors import PhotoregError
@@ -38,7 +40,7 @@ from photoreg.evaluate import projection_error
 from photoreg.mesh import Mesh, load_mesh
 from photoreg.overlay import LiveOverlay
 from photoreg.photo import Photo, load_photo
-from photoreg.registration import Finished, RegistrationConfig, refine
+from photoreg.registration import Finished, Progress, RegistrationConfig, refine
 
 PICTURE_PERIOD_S = 0.18
 """Time between overlay pictures during a refinement: five and a half a second."""
@@ -69,6 +71,7 @@ class WorkerProcess:
         self._mesh: Mesh | None = None
         self._photos: tuple[Photo, ...] = ()
         self._overlay: LiveOverlay | None = None
+        self._baker = Baker()
         self._backlog: list[Job] = []
 
     def run(self, warm_up: bool) -> None:
@@ -155,8 +158,8 @@ class WorkerProcess:
     def _refine(self, job: Refine) -> None:
         mesh = self._scene_mesh()
         start_error = true_error(mesh, job.truth, job.cameras)
-        best, finished = job.cameras, None
-        sent_at = -np.inf
+        best, finished, last = job.cameras, None, None
+        sent_at, curve, costs = -np.inf, [], CostCurve()
         with LivePainter(self, job) as painter:
             config = RegistrationConfig.preset(job.preset)
             for event in refine(mesh, self._photos, job.cameras, config):
@@ -164,13 +167,18 @@ class WorkerProcess:
                 if isinstance(event, Finished):
                     finished = event
                     break
+                last = event
                 painter.offer(best)
                 now = time.monotonic()
+                curve.extend(costs.points(event))
                 if now - sent_at >= LIVE_PERIOD_S:
-                    self._send(Live(event))
+                    self._send(Live(event, tuple(curve)))
                     sent_at = now
+                    curve.clear()
                 if self._must_stop(painter):
                     break
+        if last is not None:
+            self._send(Live(last, tuple(curve)))
         self._send(self._draw(best, painter.view, job.truth))
         error = true_error(mesh, job.truth, best)
         self._send(Refined(best, finished, start_error, error))
@@ -187,10 +195,8 @@ class WorkerProcess:
         return False
 
     def _bake(self, job: Bake) -> None:
-        from app.baking import bake
-
         mesh = self._scene_mesh()
-        for step in bake(mesh, self._photos, job.cameras):
+        for step in self._baker.bake(mesh, self._photos, job.cameras):
             self._send(step)
 
     def _warm_up(self) -> None:
@@ -249,6 +255,32 @@ class LivePainter:
             # Never more than two fifths of a core, however slow this machine is.
             spent = time.monotonic() - started
             time.sleep(max(PICTURE_PERIOD_S - spent, 1.5 * spent, 0.0))
+
+
+class CostCurve:
+    """The cost relative to the first one, as one curve over all phases.
+
+    Costs compare only while they are measured the same way: search and polish, and
+    the polish's levels, have measures of their own. Where the measure changes, which
+    shows as a rise of the best, the curve goes on from where it was.
+    """
+
+    def __init__(self) -> None:
+        self._cost: float | None = None
+        self._level = 1.0
+        self._step = -1
+
+    def points(self, event: Progress) -> list[CurvePoint]:
+        """The event's point; none before there is a cost."""
+        best, median = event.best_cost, event.median_cost
+        if not 0.0 < best < np.inf:
+            return []
+        if self._cost is not None:
+            self._level *= min(1.0, best / self._cost)
+        self._cost = best
+        self._step += 1
+        spread = median / best if best <= median < np.inf else 1.0
+        return [CurvePoint(self._step, self._level, self._level * spread)]
 
 
 def encode_jpeg(picture: np.ndarray) -> bytes:

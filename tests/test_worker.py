@@ -1,0 +1,262 @@
+"""The worker process, and the conductor between it and the state. No browser."""
+
+import dataclasses
+import io
+import os
+import queue
+import signal
+from collections.abc import Iterator
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from app import session as rules
+from app.conductor import Conductor
+from app.messages import (
+    Event,
+    Failed,
+    Live,
+    LoadPhoto,
+    OverlayView,
+    Picture,
+    Ready,
+    Refine,
+    Refined,
+    SetScene,
+    Stop,
+)
+from app.session import CurvePoint, Document, PhotoEntry, Session, State
+from app.warm_up import toy_scene
+from app.worker import Worker, newest
+from photoreg.errors import InputError, RefinementError
+from photoreg.registration import Finished, RegistrationConfig, refine
+from tests.browser.driver import wait_until
+
+VIEW = OverlayView("blend", 0)
+
+
+class Listener:
+    """Collects a worker's events and waits for the one wanted."""
+
+    def __init__(self) -> None:
+        self.events: queue.Queue[Event] = queue.Queue()
+
+    def wait_for(self, kind: type, timeout_s: float = 90.0) -> Any:
+        while True:
+            event = self.events.get(timeout=timeout_s)
+            if isinstance(event, kind):
+                return event
+            assert not isinstance(event, Failed), event.message + event.details
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return toy_scene()
+
+
+@pytest.fixture(scope="module")
+def shared() -> Iterator[tuple[Worker, Listener]]:
+    """One worker for the tests that leave it alive."""
+    listener = Listener()
+    worker = Worker(listener.events.put, warm_up=False)
+    listener.wait_for(Ready)
+    yield worker, listener
+    worker.close()
+
+
+def rough(cameras):
+    return tuple(
+        dataclasses.replace(
+            camera, t_cam_world=camera.t_cam_world + np.array([0.05, -0.04, 0.1])
+        )
+        for camera in cameras
+    )
+
+
+def test_the_worker_s_answer_is_the_engine_s_to_the_bit(shared, scene):
+    worker, listener = shared
+    mesh, photos, cameras = scene
+    start = rough(cameras)
+    worker.send(SetScene(mesh, photos), Refine(start, "fast", VIEW, cameras))
+    refined = listener.wait_for(Refined)
+    *_, last = refine(mesh, photos, start, RegistrationConfig.preset("fast"))
+    assert isinstance(last, Finished)
+    for ours, direct in zip(refined.cameras, last.cameras, strict=True):
+        assert np.array_equal(ours.P, direct.P)
+    assert refined.finished.cost == last.cost
+    assert refined.start_error_px is not None
+    assert refined.start_error_px > 1.0
+
+
+def test_stop_ends_the_run_with_the_best_so_far(shared, scene):
+    worker, listener = shared
+    mesh, photos, cameras = scene
+    start = rough(cameras)
+    worker.send(SetScene(mesh, photos), Refine(start, "thorough", VIEW, None))
+    lives = [listener.wait_for(Live)]
+    while not lives[-1].curve:
+        lives.append(listener.wait_for(Live))
+    worker.stop_refinement()
+    refined = listener.wait_for(Refined)
+    assert refined.finished is None
+    assert refined.error_px is None
+    assert any(
+        not rules.same_camera(a, b) for a, b in zip(refined.cameras, start, strict=True)
+    )
+
+
+def test_pictures_come_while_the_search_runs(shared, scene):
+    worker, listener = shared
+    mesh, photos, cameras = scene
+    job = Refine(rough(cameras), "thorough", VIEW, cameras)
+    worker.send(SetScene(mesh, photos), job)
+    pictures = [listener.wait_for(Picture) for _ in range(3)]
+    worker.send(OverlayView("difference", 1))
+    pictures += [listener.wait_for(Picture) for _ in range(3)]
+    worker.stop_refinement()
+    listener.wait_for(Refined)
+    images = [np.asarray(Image.open(io.BytesIO(p.jpeg))) for p in pictures]
+    assert {image.shape for image in images} == {(120, 160, 3)}
+    change = np.abs(images[0].astype(int) - images[-1]).mean()
+    assert change > 1.0, f"the pictures differ by {change:.2f} only"
+    assert all(p.error_px is not None and p.error_px > 0.0 for p in pictures)
+
+
+def test_a_file_that_is_no_photo_is_a_sentence_and_no_crash(shared, tmp_path):
+    worker, listener = shared
+    path = tmp_path / "notes.jpg"
+    path.write_text("not a picture")
+    worker.send(LoadPhoto(path))
+    failed = listener.events.get(timeout=60)
+    assert isinstance(failed, Failed)
+    assert "notes.jpg could not be read" in failed.message
+    assert failed.details == ""
+
+
+def test_a_stop_that_comes_too_late_does_no_harm(shared, scene):
+    worker, listener = shared
+    mesh, photos, cameras = scene
+    worker.send(Stop(), SetScene(mesh, photos))
+    worker.send(Refine(rough(cameras), "fast", VIEW, None))
+    assert listener.wait_for(Refined).finished is not None
+
+
+def test_of_passing_events_the_newest_is_told_and_the_curve_is_whole():
+    a, b, c = (CurvePoint(i, 1.0, 1.0) for i in range(3))
+    pictures = [Picture(bytes([i]), None) for i in range(3)]
+    end = Refined((), None, None, None)
+    live, told_end, picture = newest(
+        [Live(1, (a,)), pictures[0], Live(2, (b, c)), pictures[1], end, pictures[2]]
+    )
+    assert isinstance(live, Live)
+    assert (live.progress, live.curve) == (2, (a, b, c))
+    assert told_end is end
+    assert picture is pictures[2]
+
+
+@pytest.fixture
+def conductor(scene) -> Iterator[Conductor]:
+    mesh, photos, cameras = scene
+    entries = tuple(map(PhotoEntry, photos, rough(cameras)))
+    truth = tuple((e.name, camera) for e, camera in zip(entries, cameras, strict=True))
+    session = Session(State(document=Document(mesh, mesh, entries, truth)))
+    conductor = Conductor(session, warm_up=False)
+    yield conductor
+    conductor.close()
+
+
+def wait(conductor: Conductor, condition, what: str) -> State:
+    wait_until(lambda: condition(conductor.session.state), what, timeout_s=90)
+    return conductor.session.state
+
+
+def test_killing_the_worker_keeps_the_best_and_the_next_run_works(conductor):
+    problems: list[str] = []
+    conductor.on_problem = problems.append
+    session = conductor.session
+    session.change(None, rules.setting(preset="thorough"))
+    conductor.refine()
+    wait(conductor, lambda s: len(s.run.curve) > 3, "the search runs")
+    first_pid = conductor.worker.pid
+    assert first_pid is not None
+    os.kill(first_pid, signal.SIGKILL)
+    state = wait(conductor, lambda s: not s.run.is_active, "the death is noticed")
+    assert state.run.status == "review"
+    assert "died" in state.run.outcome
+    wait_until(lambda: problems, "the user is told")
+    assert "cut short" in problems[0]
+    conductor.accept()
+    session.change(None, rules.setting(preset="fast"))
+    conductor.refine()
+    state = wait(conductor, lambda s: s.run.status == "review", "the next run ends")
+    assert conductor.worker.pid != first_pid
+    assert state.run.cost is not None
+    assert state.run.start_cost is not None
+    assert state.run.cost <= state.run.start_cost
+
+
+def test_a_run_goes_from_start_to_accept_and_back_by_undo(conductor):
+    session = conductor.session
+    session.change(None, rules.setting(preset="fast"))
+    before = session.state.document
+    conductor.refine()
+    with pytest.raises(RefinementError, match="running"):
+        conductor.refine()
+    state = wait(conductor, lambda s: s.run.status == "review", "the run ends")
+    costs = [point.best for point in state.run.curve]
+    assert len(costs) > 3
+    assert session.state.document is before, "nothing is taken before Accept"
+    conductor.accept()
+    assert session.undo() == "Refine"
+    assert session.state.document is before
+
+
+def test_a_conductor_s_stop_waits_for_a_decision(conductor):
+    session = conductor.session
+    session.change(None, rules.setting(preset="thorough"))
+    conductor.refine()
+    wait(conductor, lambda s: s.run.status == "running", "the search runs")
+    conductor.stop()
+    state = wait(conductor, lambda s: s.run.status == "review", "it stops")
+    assert state.run.outcome.startswith("Stopped")
+    conductor.revert()
+    assert session.state.run.status == "idle"
+
+
+def test_an_uploaded_photo_gets_a_camera_that_sees_the_object(conductor, scene):
+    session = conductor.session
+    data = cv2.imencode(".png", scene[1][0].pixels)[1].tobytes()
+    conductor.upload_photo("../../etc/new one.png", data)
+    state = wait(conductor, lambda s: len(s.document.photos) == 3, "it is added")
+    entry = state.document.photos[2]
+    assert entry.name == "new one.png"
+    assert entry.camera.contains(entry.camera.project(scene[0].vertices)).all()
+    assert state.undo_name == "Add new one.png"
+    assert session.undo() == "Add new one.png"
+
+
+def test_a_bad_upload_is_told_and_changes_nothing(conductor):
+    problems: list[str] = []
+    conductor.on_problem = problems.append
+    document = conductor.session.state.document
+    conductor.upload_photo("notes.jpg", b"not a picture")
+    wait_until(lambda: problems, "the user is told")
+    assert "notes.jpg could not be read" in problems[0]
+    with pytest.raises(InputError, match="suffix"):
+        conductor.upload_mesh("mesh.exe", b"MZ")
+    assert conductor.session.state.document is document
+    assert conductor.session.state.job is None
+
+
+def test_the_overlay_follows_the_cameras_and_tells_the_true_error(conductor):
+    session = conductor.session
+    wait(conductor, lambda s: s.run.error_px is not None, "the first overlay")
+    first, error = conductor.picture, session.state.run.error_px
+    true = dict(session.state.document.truth)
+    session.change("Put right", rules.with_cameras(true))
+    state = wait(conductor, lambda s: s.run.error_px != error, "the overlay follows")
+    assert state.run.error_px == pytest.approx(0.0, abs=1e-6)
+    assert conductor.picture != first
