@@ -6,12 +6,14 @@ libraries come with the optional extra ``bench``; one that is not installed is l
 """
 
 import dataclasses
+import importlib
 import importlib.util
 import time
 import warnings
 from collections.abc import Callable, Iterator
 
 import numpy as np
+from scipy.optimize import differential_evolution
 
 from photoreg.consistency import PhotoConsistency
 from photoreg.evaluate import projection_error
@@ -79,7 +81,7 @@ def paper(problem: Problem) -> None:
 def _search(problem: Problem, config: GeneticConfig) -> None:
     for _ in evolve(
         problem.costs,
-        lambda n, rng: problem.gene_map.first_population(n, rng),
+        problem.gene_map.first_population,
         config,
         problem.seed,
         start=problem.first[0],
@@ -89,11 +91,11 @@ def _search(problem: Problem, config: GeneticConfig) -> None:
 
 def pymoo(problem: Problem) -> None:
     """Pymoo's genetic algorithm: simulated binary crossover, polynomial mutation."""
-    from pymoo.algorithms.soo.nonconvex.ga import GA
-    from pymoo.core.problem import Problem as PymooProblem
-    from pymoo.optimize import minimize
+    algorithms = importlib.import_module("pymoo.algorithms.soo.nonconvex.ga")
+    problems = importlib.import_module("pymoo.core.problem")
+    optimize = importlib.import_module("pymoo.optimize")
 
-    class Boxed(PymooProblem):
+    class Boxed(problems.Problem):
         def __init__(self) -> None:
             n = problem.gene_map.n_genes
             super().__init__(n_var=n, n_obj=1, xl=-np.ones(n), xu=np.ones(n))
@@ -101,9 +103,9 @@ def pymoo(problem: Problem) -> None:
         def _evaluate(self, x, out, *args, **kwargs):
             out["F"] = problem.costs(x)
 
-    minimize(
+    optimize.minimize(
         Boxed(),
-        GA(pop_size=POPULATION, sampling=problem.first),
+        algorithms.GA(pop_size=POPULATION, sampling=problem.first),
         ("n_eval", BUDGET),
         seed=problem.seed,
         verbose=False,
@@ -112,7 +114,7 @@ def pymoo(problem: Problem) -> None:
 
 def pygad(problem: Problem) -> None:
     """PyGAD: tournament, uniform crossover, mutation probability 0.1."""
-    import pygad as library
+    library = importlib.import_module("pygad")
 
     def fitness(_, genes, __):
         return -problem.costs(np.atleast_2d(genes))
@@ -138,8 +140,6 @@ def pygad(problem: Problem) -> None:
 
 def scipy(problem: Problem) -> None:
     """Scipy's differential evolution, best1bin, without its final polish."""
-    from scipy.optimize import differential_evolution
-
     n = problem.gene_map.n_genes
     differential_evolution(
         lambda x: problem.costs(x.T),
@@ -156,8 +156,7 @@ def scipy(problem: Problem) -> None:
 
 def pycma(problem: Problem) -> None:
     """Pycma's CMA-ES from the pre-registration, sigma 0.3, its own population size."""
-    import cma
-
+    cma = importlib.import_module("cma")
     n = problem.gene_map.n_genes
     options = {"bounds": [-1.0, 1.0], "seed": problem.seed + 1, "verbose": -9}
     strategy = cma.CMAEvolutionStrategy(np.zeros(n), 0.3, options)
@@ -177,7 +176,7 @@ LIBRARIES: dict[str, tuple[str, Optimiser]] = {
 @bench
 def optimisers(setting: Setting) -> Iterator[Metric]:
     """Final cost, error and time of every optimiser on the default preset's cost."""
-    found = {"ours": ours, "paper": paper}
+    found: dict[str, Optimiser] = {"ours": ours, "paper": paper}
     for name, (module, optimiser) in LIBRARIES.items():
         if importlib.util.find_spec(module) is None:
             print(f"optimisers: {name} is left out, because it is not installed.")

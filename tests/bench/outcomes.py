@@ -10,7 +10,7 @@ from photoreg.camera import Camera
 from photoreg.evaluate import projection_error
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
-from photoreg.registration import Finished, RegistrationConfig, refine
+from photoreg.registration import Finished, PresetName, RegistrationConfig, refine
 from tests.bench.metrics import Metric, spread
 from tests.bench.worlds import World
 
@@ -47,18 +47,15 @@ def run(
     )
 
 
-def run_world(world: World, preset: str = "default") -> Outcome:
+def run_world(world: World, config: RegistrationConfig | None = None) -> Outcome:
     """Refines a made scene's rough cameras; its seed is the search's too."""
-    config = RegistrationConfig.preset(
-        preset,  # pyright: ignore[reportArgumentType]
-        seed=world.seed,
-    )
+    config = RegistrationConfig() if config is None else config
     return run(
         world.mesh,
         world.photos,
         world.cameras,
         world.rough_cameras,
-        config,
+        dataclasses.replace(config, seed=world.seed),
         world.true_mesh,
     )
 
@@ -66,7 +63,7 @@ def run_world(world: World, preset: str = "default") -> Outcome:
 def figures(
     name: str,
     worlds: Iterable[World],
-    preset: str = "default",
+    preset: PresetName = "default",
     *,
     mean_bar: float | None = None,
     worst_bar: float | None = None,
@@ -82,7 +79,8 @@ def figures(
         worst_bar: Bar for the worst error, in pixels.
         under: An error in pixels, and the share of runs that should end at or below it.
     """
-    outcomes = [run_world(world, preset) for world in worlds]
+    config = RegistrationConfig.preset(preset)
+    outcomes = [run_world(world, config) for world in worlds]
     yield from error_figures(name, outcomes, mean_bar, worst_bar, under)
     yield from spread(
         f"{name}.time", [o.elapsed_s for o in outcomes], "s", tolerance=1.0

@@ -1,9 +1,11 @@
 """Made scenes for the benches, kept on disk: drawing one takes seconds."""
 
 import dataclasses
+import functools
 import hashlib
 import os
 import pickle
+import re
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +13,7 @@ from typing import Any
 
 import photoreg
 from photoreg.camera import Camera
+from photoreg.experiment import manual_start
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.rough import rough_start
@@ -20,11 +23,6 @@ from photoreg.synthetic import make_scene
 STORE = Path(tempfile.gettempdir()) / "photoreg-bench-scenes"
 """Scenes made before, each under a digest of its options and of the source files that
 draw scenes: a changed source makes a new scene."""
-
-_SOURCES = (
-    *("synthetic", "scene_options", "render", "rough", "noise", "rock", "shell"),
-    *("shell_pattern", "raster", "mesh", "camera", "sampling"),
-)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -45,6 +43,11 @@ class World:
         """The same scene with rough cameras whose error lies in another band."""
         rough = rough_start(self.true_mesh, self.cameras, error_px, self.seed)
         return dataclasses.replace(self, rough_cameras=tuple(rough))
+
+    def by_hand(self) -> "World":
+        """The same scene with manual cameras inside the paper's gene intervals."""
+        manual = manual_start(self.true_mesh, self.cameras, seed=self.seed)
+        return dataclasses.replace(self, rough_cameras=tuple(manual))
 
 
 def world(kind: str = "clean", seed: int = 0, **settings: Any) -> World:
@@ -82,8 +85,20 @@ def worlds(n: int, kind: str = "clean", **settings: Any) -> Iterator[World]:
 
 def _digest(options: SceneOptions) -> str:
     digest = hashlib.sha256(repr(options).encode())
-    folder = Path(photoreg.__file__).parent
-    for name in _SOURCES:
-        path = folder / f"{name}.py"
-        digest.update(path.read_bytes() if path.exists() else b"")
+    digest.update(_sources())
     return digest.hexdigest()[:16]
+
+
+@functools.cache
+def _sources() -> bytes:
+    """All source text that drawing a scene rests on: what synthetic imports, in turn."""
+    folder = Path(photoreg.__file__).parent
+    texts: dict[str, str] = {}
+    left = ["synthetic"]
+    while left:
+        name = left.pop()
+        path = folder / f"{name}.py"
+        if name not in texts and path.exists():
+            texts[name] = path.read_text(encoding="utf-8")
+            left += re.findall(r"^from photoreg\.(\w+) import", texts[name], re.M)
+    return "".join(texts[name] for name in sorted(texts)).encode()
