@@ -234,11 +234,15 @@ def runs(
         seed: Of the starts and searches.
     """
     done: dict[tuple[object, int], Run] = {}
+    starts = {
+        number: manual_start(scene.true_mesh, scene.cameras, seed=1000 * seed + number)
+        for number in range(1, n_runs + 1)
+    }
     for row in rows:
         for number in range(1, count(row, n_runs, n_compared) + 1):
             key = (row.config, number)
             if key not in done:
-                done[key] = _one(scene, row, number, seed)
+                done[key] = _one(scene, starts[number], row, number, seed)
             yield dataclasses.replace(done[key], table=row.table, method=row.name)
 
 
@@ -247,9 +251,9 @@ def count(row: Method, n_runs: int, n_compared: int) -> int:
     return n_runs if row.table in ("population", "beyond") else n_compared
 
 
-def _one(scene: Scene, row: Method, number: int, seed: int) -> Run:
-    start = manual_start(scene.true_mesh, scene.cameras, seed=1000 * seed + number)
-
+def _one(
+    scene: Scene, start: Sequence[Camera], row: Method, number: int, seed: int
+) -> Run:
     def error_px(cameras: Sequence[Camera], n_samples: int = 10_000) -> float:
         return projection_error(scene.true_mesh, scene.cameras, cameras, n_samples).mean
 
@@ -257,7 +261,7 @@ def _one(scene: Scene, row: Method, number: int, seed: int) -> Run:
     path: list[tuple[float, Sequence[Camera]]] = []
     if isinstance(row.config, PolishConfig):
         *_, last = polish_cameras(
-            scene.mesh, scene.photos, start, start, row.config, seed=number
+            scene.mesh, scene.photos, start, start, row.config, 1000 * seed + number
         )
         cameras, cost, evaluations = last.cameras, last.cost, 0
     else:
