@@ -1,0 +1,46 @@
+"""`photoreg`: the app when no command is named, else the command line."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from photoreg import cli
+
+
+def app_command(
+    files: Annotated[
+        tuple[Path, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="MESH PHOTO PHOTO | FOLDER"),
+    ] = (),
+    /,
+    *,
+    cameras: Path | None = None,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    browser: bool = True,
+) -> int:
+    """Open the app in the browser; without files, on the demo.
+
+    Args:
+        files: A mesh and its photos, or a folder that `photoreg synthesize` made.
+        cameras: Cameras of the photos, a photoreg camera file.
+        host: Address to listen on; the default lets only this machine in.
+        port: Port to listen on; the next free one is taken when it is busy.
+        browser: Open the page in the default browser, where there is one.
+    """
+    # Not at the top: the command line must not wait for the app's imports.
+    from app.main import run_app  # noqa: PLC0415
+
+    return run_app(files, cameras, host=host, port=port, open_browser=browser)
+
+
+def main() -> int:
+    """Runs the command that the terminal names; returns the exit status."""
+    return cli.run(sys.argv[1:] or ["app"], {"app": app_command})
+
+
+if __name__ == "__main__":
+    sys.exit(main())

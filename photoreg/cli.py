@@ -1,0 +1,350 @@
+"""The command line: files in, files out, figures on request.
+
+Exit status 0: done. 1: stopped early or crashed. 2: bad input, in one sentence.
+"""
+
+import contextlib
+import dataclasses
+import itertools
+import json
+import math
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, get_args
+
+import rich.console
+import rich.progress
+import rich.table
+import tyro
+
+from photoreg.camera import Camera
+from photoreg.checks import check_output_file
+from photoreg.errors import InputError, OutputError, PhotoregError
+from photoreg.evaluate import projection_error
+from photoreg.formats.cameras_json import CameraFile, load_cameras, save_cameras
+from photoreg.formats.obj import save_textured_obj
+from photoreg.mesh import Mesh, load_mesh
+from photoreg.photo import Photo, load_photo
+from photoreg.registration import (
+    Finished,
+    PresetName,
+    Progress,
+    RegistrationConfig,
+    refine,
+)
+from photoreg.scene_options import SceneOptions
+from photoreg.synthetic import make_scene, write_scene
+from photoreg.texture import TextureConfig, bake_texture
+
+MeshPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MESH")]
+PhotoPaths = Annotated[
+    tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="PHOTO")
+]
+
+_log = rich.console.Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+def commands(argv: Sequence[str] = ()) -> dict[str, Callable[..., int]]:
+    """The commands by name; the defaults of `refine` are those of argv's --preset."""
+    return {
+        "refine": _refine_command(RegistrationConfig.preset(_preset(argv))),
+        "evaluate": evaluate_command,
+        "texture": texture_command,
+        "synthesize": synthesize_command,
+    }
+
+
+def _preset(argv: Sequence[str]) -> PresetName:
+    """The preset that argv names.
+
+    It decides other options' defaults, so it is looked for before tyro reads the rest
+    and refuses what is not a preset.
+    """
+    pairs = set(itertools.pairwise(argv))
+    for name in get_args(PresetName):
+        if f"--preset={name}" in argv or ("--preset", name) in pairs:
+            return name
+    return "default"
+
+
+def _refine_command(preset: RegistrationConfig) -> Callable[..., int]:
+    def refine_command(
+        mesh: MeshPath,
+        photos: PhotoPaths,
+        /,
+        *,
+        cameras: Path,
+        out: Path,
+        preset: PresetName = "default",
+        json: bool = False,
+        config: Annotated[RegistrationConfig, tyro.conf.arg(name="")] = preset,
+    ) -> int:
+        """Refine rough cameras until the photos agree over the whole surface.
+
+        Ctrl-C writes the best cameras found so far.
+
+        Args:
+            mesh: The scanned surface: OBJ, PLY, STL, GLB or OFF.
+            photos: Two or more photos: JPEG, PNG or TIFF.
+            cameras: Rough cameras to start from, a photoreg camera file.
+            out: Where the refined cameras go (.json).
+            preset: Where the options below start from: default; fast, for a look;
+                thorough, for very rough starts; paper, the paper's genetic algorithm.
+            json: Print the figures as JSON on standard output.
+            config: How to refine.
+        """
+        del preset  # `config` began as it.
+        check_output_file(out, (".json",))
+        surface, pictures, file, start = _load_scene(mesh, photos, cameras)
+        last, interrupted = _watch(surface, pictures, start, config)
+        names = [photo.name for photo in pictures]
+        best = dict(zip(names, last.cameras, strict=True))
+        save_cameras(out, file.with_cameras(best))
+        if interrupted:
+            _log.print(f"Stopped. The best cameras so far are in {out}.")
+        if isinstance(last, Finished):
+            for warning in last.warnings:
+                _log.print(f"Warning: {warning}")
+            _log.print(
+                f"Cost {last.start_cost:.4g} -> {last.cost:.4g} in "
+                f"{last.elapsed_s:.1f} s. {last.reason} Cameras written to {out}."
+            )
+        if json:
+            figures = {
+                field.name: getattr(last, field.name)
+                for field in dataclasses.fields(last)
+                if field.name != "cameras"
+            }
+            _print_json({**figures, "stopped": interrupted, "out": str(out)})
+        return 1 if interrupted else 0
+
+    return refine_command
+
+
+def evaluate_command(
+    mesh: MeshPath, /, *, cameras: Path, truth: Path, json: bool = False
+) -> int:
+    """Measure cameras against the true ones: projection error in pixels.
+
+    The paper's equation 5, over surface points visible in the true camera.
+
+    Args:
+        mesh: The scanned surface.
+        cameras: The cameras to judge, a photoreg camera file.
+        truth: The true cameras; photos are matched by name.
+        json: Print the figures as JSON on standard output.
+    """
+    surface = load_mesh(mesh)
+    estimated, true = load_cameras(cameras).cameras, load_cameras(truth).cameras
+    if not estimated:
+        raise InputError(f"{cameras.name} has no cameras.")
+    missing = [name for name in estimated if name not in true]
+    if missing:
+        raise InputError(
+            f"{truth.name} has no camera for {', '.join(missing)}; it has "
+            f"{', '.join(true) or 'none at all'}. Photos are matched by file name."
+        )
+    for name, camera in estimated.items():
+        if (camera.width, camera.height) != (true[name].width, true[name].height):
+            raise InputError(
+                f"{name} is {camera.width}x{camera.height} px in {cameras.name}, but "
+                f"{true[name].width}x{true[name].height} px in {truth.name}."
+            )
+    error = projection_error(
+        surface, [true[name] for name in estimated], list(estimated.values())
+    )
+    by_photo = dict(zip(estimated, error.cameras, strict=True))
+    if json:
+        _print_json(
+            {
+                "mean_px": error.mean,
+                "cameras": {
+                    name: {f"{word}_px": getattr(figures, word) for word in _FIGURES}
+                    for name, figures in by_photo.items()
+                },
+            }
+        )
+        return 0
+    table = rich.table.Table("photo", *(f"{word} px" for word in _FIGURES))
+    for name, figures in by_photo.items():
+        cells = (f"{getattr(figures, word):.3f}" for word in _FIGURES)
+        table.add_row(name, *cells)
+    rich.console.Console(highlight=False).print(table)
+    print(f"Mean projection error {error.mean:.3f} px")
+    return 0
+
+
+_FIGURES = ("mean", "rms", "median", "max")
+
+
+def texture_command(
+    mesh: MeshPath,
+    photos: PhotoPaths,
+    /,
+    *,
+    cameras: Path,
+    out: Path,
+    config: Annotated[TextureConfig, tyro.conf.arg(name="")] = TextureConfig(),
+    json: bool = False,
+) -> int:
+    """Lay the photos onto the mesh: a textured OBJ with its MTL and PNG.
+
+    Args:
+        mesh: The scanned surface.
+        photos: The photos to lay onto it.
+        cameras: Their refined cameras, a photoreg camera file.
+        out: Where the model goes (.obj); the MTL and PNG go beside it.
+        config: How the texture is made.
+        json: Print the figures as JSON on standard output.
+    """
+    check_output_file(out, (".obj",))
+    surface, pictures, _, exact = _load_scene(mesh, photos, cameras, at_least=1)
+    began = time.perf_counter()
+    textured = bake_texture(surface, pictures, exact, config)
+    written = save_textured_obj(out, textured)
+    elapsed_s = time.perf_counter() - began
+    height, width = textured.texture.shape[:2]
+    _log.print(
+        f"{textured.seen_share:.0%} of the surface is seen by a photo. Texture "
+        f"{width}x{height}, {elapsed_s:.1f} s. "
+        f"Written: {', '.join(str(path) for path in written)}."
+    )
+    if json:
+        _print_json(
+            {
+                "files": [str(path) for path in written],
+                "texture": [width, height],
+                "seen_share": textured.seen_share,
+                "elapsed_s": elapsed_s,
+            }
+        )
+    return 0
+
+
+def synthesize_command(
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
+    /,
+    *,
+    options: Annotated[SceneOptions, tyro.conf.arg(name="")] = SceneOptions(),
+) -> int:
+    """Make a scene with truth: mesh, photos, true cameras and rough ones.
+
+    Args:
+        folder: A new or empty folder for the files.
+        options: What the scene is.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise OutputError(f"{folder} is not empty; give a new folder.")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"Cannot make {folder}: {error.strerror}.") from error
+    written = write_scene(make_scene(options), folder)
+    _log.print(f"Written: {', '.join(str(path) for path in written)}.")
+    return 0
+
+
+def run(
+    argv: Sequence[str], others: Mapping[str, Callable[..., int]] | None = None
+) -> int:
+    """Runs the command that ``argv`` names, of ours or of ``others``.
+
+    Returns the exit status.
+
+    tyro itself ends with status 2 and its message where the words are off.
+    """
+    try:
+        return tyro.extras.subcommand_cli_from_dict(
+            {**(others or {}), **commands(argv)},
+            prog="photoreg",
+            description="Lays photographs onto a scanned 3-D surface, precisely.",
+            args=list(argv),
+        )
+    except PhotoregError as error:
+        _log.print(f"photoreg: {error}", markup=False)
+        return 2
+    except KeyboardInterrupt:
+        _log.print("Stopped.")
+        return 1
+
+
+def _load_scene(
+    mesh: Path, photos: Sequence[Path], cameras: Path, at_least: int = 2
+) -> tuple[Mesh, list[Photo], CameraFile, list[Camera]]:
+    if len(photos) < at_least:
+        raise InputError(
+            f"Give at least {at_least} photo{'s' * (at_least > 1)}; {len(photos)} came."
+        )
+    names = [path.name for path in photos]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InputError(
+            f"{twice[0]} was given twice. Photos are told apart by file name."
+        )
+    file = load_cameras(cameras)
+    surface = load_mesh(mesh)
+    pictures = [load_photo(path) for path in photos]
+    return surface, pictures, file, file.of_photos(pictures)
+
+
+def _watch(
+    mesh: Mesh,
+    photos: Sequence[Photo],
+    start: Sequence[Camera],
+    config: RegistrationConfig,
+) -> tuple[Progress | Finished, bool]:
+    """Runs a refinement under a progress bar; its last event, and whether Ctrl-C came."""
+    bar = rich.progress.Progress(
+        rich.progress.TextColumn("{task.description}"),
+        rich.progress.BarColumn(),
+        rich.progress.TaskProgressColumn(),
+        rich.progress.TextColumn("cost {task.fields[cost]}"),
+        rich.progress.TimeRemainingColumn(),
+        console=_log,
+        transient=True,
+    )
+    with bar, _asked_to_stop() as stop:
+        task = bar.add_task("getting ready", total=1.0, cost="-")
+        event = None
+        for event in refine(mesh, photos, start, config):
+            if isinstance(event, Progress) and math.isfinite(event.best_cost):
+                bar.update(
+                    task,
+                    completed=event.fraction,
+                    description=event.step,
+                    cost=f"{event.best_cost:.4g}",
+                )
+            if stop.is_set():
+                break
+    assert event is not None  # The last event of every refinement is its end.
+    return event, stop.is_set() and not isinstance(event, Finished)
+
+
+@contextlib.contextmanager
+def _asked_to_stop() -> Iterator[threading.Event]:
+    """An event that Ctrl-C sets; a second Ctrl-C interrupts at once.
+
+    An exception raised by the signal itself would land in the middle of compiled
+    code, which cannot pass it on.
+    """
+    asked = threading.Event()
+    previous = signal.getsignal(signal.SIGINT)
+
+    def ask(*_: object) -> None:
+        asked.set()
+        signal.signal(signal.SIGINT, previous)
+
+    signal.signal(signal.SIGINT, ask)
+    try:
+        yield asked
+    finally:
+        signal.signal(signal.SIGINT, previous)
+
+
+def _print_json(figures: dict[str, Any]) -> None:
+    json.dump(figures, sys.stdout, indent=1)
+    print()
