@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 
+import numpy as np
 from playwright.sync_api import Browser, Page, Playwright
 
 from tests.browser.ensure_chromium import find_chromium
@@ -73,10 +74,15 @@ class Driver:
 
     def dismiss_toasts(self) -> None:
         """Closes the messages at the top left (software WebGL brings one)."""
-        buttons = self.page.locator(".mantine-Notification-closeButton")
-        while buttons.count():
-            buttons.first.click()
-            self.page.wait_for_timeout(250)
+        # In the page: messages also go by themselves while one reaches for them.
+        self.page.wait_for_function(
+            """() => {
+              const found = document.querySelectorAll(
+                '.mantine-Notification-closeButton');
+              found.forEach(button => button.click());
+              return found.length === 0;
+            }"""
+        )
 
     def tab(self, name: str) -> None:
         """Opens a tab."""
@@ -106,3 +112,26 @@ class Driver:
             self.frames(1)
         mouse.up()
         self.frames(2)
+
+    def viewport_camera(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """The browser's own camera: position, R_page_cam and vertical view in radians.
+
+        viser turns the page's axes so that three.js has its y upwards; the pose of a
+        node at the root tells how.
+        """
+        found = self.page.evaluate(
+            """() => {
+              const c = __viserMutable.camera, nodes = __viserMutable.nodeRefFromName;
+              const root = nodes['/solid'] ?? nodes['/clear'];
+              c.updateMatrixWorld(); root.updateMatrixWorld();
+              return {camera: c.matrixWorld.elements, fov: c.fov,
+                      root: root.matrixWorld.elements};
+            }"""
+        )
+        camera, root = (
+            np.array(found[name]).reshape(4, 4).T for name in ("camera", "root")
+        )
+        pose = np.linalg.inv(root) @ camera
+        # three.js looks along -z with y up; here cameras look along +z with y down.
+        rotation = pose[:3, :3] @ np.diag([1.0, -1.0, -1.0])
+        return pose[:3, 3], rotation, float(np.radians(found["fov"]))

@@ -1,0 +1,76 @@
+"""A browser for all tests, and the app with a page on it."""
+
+import dataclasses
+from collections.abc import Callable, Iterator
+
+import pytest
+from playwright.sync_api import Browser, sync_playwright
+
+from app.conductor import Conductor
+from app.server import Page
+from app.session import Document, PhotoEntry, Session, State
+from app.warm_up import toy_scene
+from tests.browser.driver import Driver, launch
+
+
+@dataclasses.dataclass
+class App:
+    """The running app, from both sides: its state, and the page a person sees."""
+
+    session: Session
+    conductor: Conductor
+    page: Page
+    driver: Driver
+
+    @property
+    def state(self) -> State:
+        return self.session.state
+
+
+OpenApp = Callable[[Document], App]
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        browser = launch(playwright)
+        yield browser
+        browser.close()
+
+
+def _opening(chromium: Browser) -> Iterator[OpenApp]:
+    running: list[App] = []
+
+    def start(document: Document) -> App:
+        session = Session(State(document=document))
+        conductor = Conductor(session, warm_up=False)
+        page = Page(session, conductor, port=0, shadows=False)
+        window = chromium.new_page(viewport={"width": 1100, "height": 700})
+        driver = Driver(window, f"http://127.0.0.1:{page.port}")
+        running.append(App(session, conductor, page, driver))
+        return running[-1]
+
+    yield start
+    for app in running:
+        app.driver.page.close()
+        app.page.close()
+        app.conductor.close()
+
+
+@pytest.fixture
+def open_app(chromium: Browser) -> Iterator[OpenApp]:
+    """Starts the app on a document and opens a small window on it."""
+    yield from _opening(chromium)
+
+
+@pytest.fixture(scope="module")
+def open_app_once(chromium: Browser) -> Iterator[OpenApp]:
+    """The same for an app that the tests of one file share."""
+    yield from _opening(chromium)
+
+
+@pytest.fixture(scope="session")
+def toy_document() -> Document:
+    """A small rock and two photos of 160 x 120 px: quick to draw and to refine."""
+    mesh, photos, cameras = toy_scene()
+    return Document(mesh, mesh, tuple(map(PhotoEntry, photos, cameras)))

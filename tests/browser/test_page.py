@@ -1,0 +1,143 @@
+"""The page, piece by piece, with real mouse and keyboard."""
+
+import socket
+
+import numpy as np
+import pytest
+
+from app.session import same_camera, with_document, with_entry
+from tests.browser.driver import wait_until
+
+
+@pytest.fixture(scope="module")
+def running(open_app_once, toy_document):
+    """One app for the tests of this file; it takes seconds to start."""
+    return open_app_once(toy_document)
+
+
+@pytest.fixture
+def app(running, toy_document):
+    """The app as it was opened: the document, and the free view."""
+    running.session.change("Open", with_document(photos=toy_document.photos))
+    running.driver.dismiss_toasts()
+    running.driver.frames(2)
+    return running
+
+
+def test_the_view_through_a_photo_is_its_camera_and_dragging_it_moves_the_camera(
+    app, toy_document
+):
+    driver, frame = app.driver, app.page.scene.frame
+    driver.tab("2 Align")
+    driver.click("Look through")
+    camera = toy_document.photos[0].camera
+    centre = frame.to_page(camera.center)
+
+    def off() -> float:
+        driver.frames(1)
+        position = driver.viewport_camera()[0]
+        return float(np.abs(position - centre).max())
+
+    wait_until(lambda: off() < 1e-5, "the view is the photo's", 30)
+    driver.frames(5)
+    opened = app.state.undo_name
+    assert app.state.document.photos == toy_document.photos, (
+        "looking through must not move the camera"
+    )
+    canvas = driver.canvas()
+    middle = (canvas["x"] + canvas["width"] / 2, canvas["y"] + canvas["height"] / 2)
+    driver.drag(middle, (40.0, 15.0))
+    wait_until(lambda: app.state.undo_name == "Move camera 1", "the camera follows", 30)
+    driver.frames(5)
+    moved = app.state.document.photos[0].camera
+    position, rotation, _ = driver.viewport_camera()
+    difference = float(np.abs(position - frame.to_page(moved.center)).max())
+    assert difference < 1e-5, f"view and camera are {difference} apart"
+    assert np.abs(rotation - moved.R_cam_world.T).max() < 1e-6
+    cosine = 0.5 * (np.trace(moved.R_cam_world @ camera.R_cam_world.T) - 1.0)
+    turn = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    assert 5.0 < turn < 60.0, f"turned by {turn:.1f} degrees"
+    # One drag, one step: undo brings the photo's view back, in the browser too.
+    driver.page.keyboard.press("Control+z")
+    wait_until(lambda: off() < 1e-5, "undo moves the view back", 30)
+    assert app.state.document.photos == toy_document.photos
+    assert app.state.undo_name == opened
+    driver.click("Free view")
+
+
+def test_undo_and_redo_by_keyboard_and_by_named_buttons(app, toy_document):
+    driver = app.driver
+    entry = toy_document.photos[1]
+    before = app.state.document
+    app.session.change(
+        "Move camera 2", with_entry(1, camera=toy_document.photos[0].camera)
+    )
+    after = app.state.document
+    driver.tab("2 Align")
+    driver.page.get_by_role("button", name="Undo: Move camera 2").wait_for()
+    driver.page.keyboard.press("Control+z")
+    wait_until(lambda: app.state.document is before, "Ctrl+Z undoes", 20)
+    driver.page.keyboard.press("Control+Shift+z")
+    wait_until(lambda: app.state.document is after, "Ctrl+Shift+Z redoes", 20)
+    driver.click("Undo: Move camera 2")
+    wait_until(lambda: app.state.document is before, "the button undoes", 20)
+    driver.page.get_by_role("button", name="Redo: Move camera 2").wait_for()
+    assert same_camera(app.state.document.photos[1].camera, entry.camera)
+
+
+def test_a_text_file_named_jpg_becomes_a_message_and_changes_nothing(
+    app, toy_document, tmp_path
+):
+    before = app.state.document
+    path = tmp_path / "notes.jpg"
+    path.write_text("these are notes, not a picture")
+    app.driver.page.set_input_files('input[type="file"][accept*=".jpeg"]', path)
+    message = app.driver.page.get_by_text("notes.jpg could not be read")
+    message.wait_for(timeout=60_000)
+    assert app.state.document is before
+    assert app.state.job is None
+
+
+def test_a_typed_focal_length_out_of_range_is_refused_with_a_sentence(
+    app, toy_document
+):
+    driver = app.driver
+    driver.tab("2 Align")
+    box = driver.page.get_by_label("Focal length, px")
+    box.fill("250")
+    wait_until(
+        lambda: app.state.undo_name == "Focal length 1", "a good value is taken", 20
+    )
+    assert app.state.document.photos[0].camera.focal_px == pytest.approx(250.0)
+    box.fill("-4")
+    driver.page.get_by_text("A focal length for this photo should be").wait_for()
+    assert app.state.document.photos[0].camera.focal_px == pytest.approx(250.0)
+
+
+def handshake(port: int, origin: str | None, host: str | None = None) -> str:
+    """The first line of the answer to a websocket handshake with this Origin."""
+    lines = [
+        "GET / HTTP/1.1",
+        f"Host: {host or f'127.0.0.1:{port}'}",
+        "Upgrade: websocket",
+        "Connection: Upgrade",
+        "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==",
+        "Sec-WebSocket-Version: 13",
+        "Sec-WebSocket-Protocol: viser-v1.1.1",
+    ]
+    if origin is not None:
+        lines.append(f"Origin: {origin}")
+    with socket.create_connection(("127.0.0.1", port), timeout=20) as connection:
+        connection.sendall(("\r\n".join(lines) + "\r\n\r\n").encode())
+        return connection.recv(4096).decode("latin-1").splitlines()[0]
+
+
+def test_pages_of_another_origin_are_refused(app):
+    port = app.page.port
+    assert " 101 " in handshake(port, f"http://127.0.0.1:{port}")
+    assert " 101 " in handshake(port, f"http://localhost:{port}", f"localhost:{port}")
+    for origin in ("http://evil.example", f"http://127.0.0.1:{port + 1}", "null", None):
+        assert " 403 " in handshake(port, origin), f"Origin {origin} was let in"
+    # A name of somebody else's that was made to lead here.
+    rebound = handshake(port, f"http://evil.example:{port}", f"evil.example:{port}")
+    assert " 403 " in rebound
