@@ -33,7 +33,8 @@ from app.messages import (
     Working,
 )
 from app.opening import demo_folder, open_folder, with_camera_file
-from app.session import Document, Job, Run, Session, State, Texture
+from app.session import Session
+from app.state import Document, Job, Run, State, Texture, same_camera
 from app.worker import Worker
 from photoreg.camera import Camera
 from photoreg.errors import InputError, RefinementError
@@ -259,7 +260,7 @@ class Conductor:
             and old.document.mesh is new.document.mesh
             and not old.run.is_active
             and len(cameras) == len(_shown_cameras(old))
-            and all(map(rules.same_camera, cameras, _shown_cameras(old)))
+            and all(map(same_camera, cameras, _shown_cameras(old)))
         ):
             return
         with self._lock:

@@ -13,7 +13,8 @@ from pathlib import Path
 from app.conductor import Conductor
 from app.opening import demo_folder, open_files, open_folder, with_camera_file
 from app.server import Page
-from app.session import Document, Session, State
+from app.session import Session
+from app.state import Document, State
 
 
 def run_app(

@@ -4,7 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
-from app.session import CurvePoint, OverlayStyle, PresetName
+from app.state import CurvePoint, OverlayStyle, PresetName
 from photoreg.camera import Camera
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from app.placement import first_camera, up_of
-from app.session import Document, PhotoEntry
+from app.state import Document, PhotoEntry
 from photoreg.camera import Camera
 from photoreg.errors import InputError
 from photoreg.formats.cameras_json import load_cameras

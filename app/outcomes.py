@@ -5,7 +5,7 @@ import dataclasses
 from app import session as rules
 from app.messages import Live, MeshLoaded, PhotoLoaded, Picture, Refined
 from app.placement import first_camera
-from app.session import Document, Run, State
+from app.state import Document, Run, State, same_camera
 from photoreg.camera import Camera
 
 MAX_CURVE_POINTS = 600
@@ -108,7 +108,7 @@ def broken_off(state: State, outcome: str, keep: bool) -> State:
     if not run.is_active:
         return state
     moved = any(
-        not rules.same_camera(a, b) for a, b in zip(run.start, run.cameras, strict=True)
+        not same_camera(a, b) for a, b in zip(run.start, run.cameras, strict=True)
     )
     if not keep or not moved:
         return dataclasses.replace(state, run=Run())

@@ -9,7 +9,8 @@ from app.conductor import Conductor
 from app.controls import guarded, put, put_value
 from app.panel_data import index_of, photo_options
 from app.placement import first_camera, rolled, with_focal
-from app.session import State, select, setting, with_entry
+from app.session import select, setting, with_entry
+from app.state import State
 from app.viewport import Viewport
 from photoreg.camera import Camera
 from photoreg.errors import InputError

@@ -8,14 +8,8 @@ import viser
 
 from app.conductor import Conductor
 from app.controls import confirm, guarded, guarded_slow, put, put_value
-from app.session import (
-    PhotoEntry,
-    State,
-    select,
-    setting,
-    with_entry,
-    with_photo_removed,
-)
+from app.session import select, setting, with_entry, with_photo_removed
+from app.state import PhotoEntry, State
 from photoreg.mesh import MESH_SUFFIXES
 from photoreg.photo import PHOTO_SUFFIXES
 

@@ -6,7 +6,8 @@ import viser
 
 from app.conductor import Conductor
 from app.controls import guarded, put, put_value
-from app.session import State, setting
+from app.session import setting
+from app.state import State
 from photoreg.errors import InputError
 
 

@@ -8,7 +8,8 @@ import viser.uplot
 
 from app.conductor import Conductor
 from app.controls import guarded, number, put, put_value
-from app.session import OverlayStyle, PresetName, Run, State, setting
+from app.session import setting
+from app.state import OverlayStyle, PresetName, Run, State
 
 PRESETS: dict[str, PresetName] = {
     "Standard": "default",

@@ -13,11 +13,11 @@ import viser.transforms as vtf
 
 from app.controls import put
 from app.placement import DisplayFrame
-from app.session import PhotoEntry, State
+from app.state import PhotoEntry, State
 from photoreg.camera import Camera
 from photoreg.mesh import Mesh
 
-CLAY = (184, 158, 134)
+CLAY = (160, 132, 108)
 SELECTED_COLOUR = (45, 190, 175)
 FRUSTUM_COLOUR = (140, 150, 170)
 GHOST_COLOUR = (120, 120, 130)

@@ -29,7 +29,8 @@ from app.panel_data import DataPanel
 from app.panel_export import ExportPanel
 from app.panel_refine import OverlayPanel, RefinePanel
 from app.scene import Scene
-from app.session import Session, State, with_entry
+from app.session import Session, with_entry
+from app.state import State
 from app.viewport import Viewport, backdrop
 
 log = logging.getLogger(__name__)

@@ -16,7 +16,8 @@ import viser.transforms as vtf
 
 from app.placement import DisplayFrame
 from app.scene import Scene, frustum_corners
-from app.session import Session, State, with_entry
+from app.session import Session, with_entry
+from app.state import State
 from photoreg.camera import Camera
 
 FREE_FOV = np.radians(24.0)
@@ -36,7 +37,7 @@ MAX_BACKGROUND_PX = 1600
 FIT = 0.97
 
 HOME_AZIMUTHS_DEG = (-78.0, -60.0, -44.0, 44.0, 60.0, 78.0)
-HOME_ELEVATIONS_DEG = (14.0, 24.0, 34.0)
+HOME_ELEVATIONS_DEG = (12.0, 20.0, 28.0)
 HOME_SHARE = 0.9
 
 Mode = Literal["free", "move", "inspect"]

@@ -32,7 +32,7 @@ from app.messages import (
     Working,
 )
 from app.opening import DISPLAY_FACES
-from app.session import CurvePoint
+from app.state import CurvePoint
 from app.warm_up import warm_up_steps
 from photoreg.camera import Camera
 from photoreg.errors import PhotoregError

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from app import session as rules
-from app.session import Document, PhotoEntry, Run, Session, State
+from app.session import Session
+from app.state import Document, PhotoEntry, Run, State, Status, same_camera
 from app.warm_up import toy_scene
 from photoreg.camera import Camera
 from photoreg.errors import InputError, RefinementError
@@ -140,7 +141,7 @@ def test_a_photo_of_a_taken_name_gets_a_number(session):
     assert session.state.selected == 3
 
 
-def run_of(document: Document, status: rules.Status) -> Run:
+def run_of(document: Document, status: Status) -> Run:
     names = tuple(entry.name for entry in document.photos)
     refined = tuple(moved(camera, 0.5) for camera in document.used_cameras)
     return Run(status, names, document.used_cameras, refined)
@@ -158,7 +159,7 @@ def test_while_a_refinement_runs_the_document_is_closed(session, document):
 def test_a_run_s_cameras_are_shown_but_not_taken(session, document):
     session.change(None, rules.setting(run=run_of(document, "review")))
     shown = [entry.camera for entry in session.state.photos]
-    assert all(map(rules.same_camera, shown, session.state.run.cameras))
+    assert all(map(same_camera, shown, session.state.run.cameras))
     assert session.state.document is document
     session.change(None, rules.reverted)
     assert session.state.photos == document.photos
@@ -169,7 +170,7 @@ def test_accepting_a_run_is_one_undo_step(session, document):
     session.change(None, rules.setting(run=run))
     session.change("Refine", rules.accepted)
     assert session.state.run.status == "idle"
-    assert all(map(rules.same_camera, session.state.document.used_cameras, run.cameras))
+    assert all(map(same_camera, session.state.document.used_cameras, run.cameras))
     assert session.undo() == "Refine"
     assert session.state.document is document
 

@@ -28,7 +28,8 @@ from app.messages import (
     SetScene,
     Stop,
 )
-from app.session import CurvePoint, Document, PhotoEntry, Session, State
+from app.session import Session
+from app.state import CurvePoint, Document, PhotoEntry, State, same_camera
 from app.warm_up import toy_scene
 from app.worker import Worker, newest
 from photoreg.errors import InputError, RefinementError
@@ -104,7 +105,7 @@ def test_stop_ends_the_run_with_the_best_so_far(shared, scene):
     assert refined.finished is None
     assert refined.error_px is None
     assert any(
-        not rules.same_camera(a, b) for a, b in zip(refined.cameras, start, strict=True)
+        not same_camera(a, b) for a, b in zip(refined.cameras, start, strict=True)
     )
 
 

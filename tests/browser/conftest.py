@@ -8,7 +8,8 @@ from playwright.sync_api import Browser, sync_playwright
 
 from app.conductor import Conductor
 from app.server import Page
-from app.session import Document, PhotoEntry, Session, State
+from app.session import Session
+from app.state import Document, PhotoEntry, State
 from app.warm_up import toy_scene
 from tests.browser.driver import Driver, launch
 

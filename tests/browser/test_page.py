@@ -5,7 +5,8 @@ import socket
 import numpy as np
 import pytest
 
-from app.session import same_camera, with_document, with_entry
+from app.session import with_document, with_entry
+from app.state import same_camera
 from tests.browser.driver import wait_until
 
 

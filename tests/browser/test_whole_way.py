@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from app.session import Document, same_camera
+from app.state import Document, same_camera
 from photoreg.camera import Camera
 from photoreg.mesh import Mesh
 from photoreg.sampling import SurfaceSamples

@@ -1,0 +1,214 @@
+"""What is on screen, as one frozen value: the document, the run, the choices.
+
+No viser and no engine here.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from photoreg.camera import Camera
+from photoreg.mesh import Mesh
+from photoreg.photo import Photo
+
+SAME_CAMERA_TOLERANCE = 1e-10
+"""Relative difference under which two cameras count as the same. Poses pass through
+quaternions on their way to the page and back, which costs about 1e-15."""
+
+Status = Literal["idle", "starting", "running", "stopping", "review"]
+PresetName = Literal["default", "fast", "thorough", "paper"]
+OverlayStyle = Literal["blend", "checkerboard", "difference", "edges"]
+
+
+def same_camera(a: Camera, b: Camera) -> bool:
+    """Whether two cameras are equal to rounding."""
+    if a is b:
+        return True
+    if (a.width, a.height) != (b.width, b.height):
+        return False
+    scale = max(float(np.abs(a.t_cam_world).max()), 1e-300)
+    return (
+        bool(np.abs(a.K - b.K).max() <= SAME_CAMERA_TOLERANCE * a.focal_px)
+        and bool(np.abs(a.R_cam_world - b.R_cam_world).max() <= SAME_CAMERA_TOLERANCE)
+        and bool(
+            np.abs(a.t_cam_world - b.t_cam_world).max() <= SAME_CAMERA_TOLERANCE * scale
+        )
+    )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PhotoEntry:
+    """A photo of the document and the camera it was taken with, as far as known."""
+
+    photo: Photo
+    camera: Camera
+    enabled: bool = True
+    """Whether the refinement and the texture use it."""
+
+    @property
+    def name(self) -> str:
+        """The photo's file name, unique within the document."""
+        return self.photo.name
+
+    def __eq__(self, other: object) -> bool:
+        return (
+            isinstance(other, PhotoEntry)
+            and self.photo is other.photo
+            and self.enabled == other.enabled
+            and same_camera(self.camera, other.camera)
+        )
+
+    def __hash__(self) -> int:
+        return hash((id(self.photo), self.enabled))
+
+
+@dataclasses.dataclass(frozen=True)
+class Document:
+    """What the user works on, and what undo brings back."""
+
+    mesh: Mesh | None = None
+    display_mesh: Mesh | None = None
+    """The mesh, decimated if it is too big to be drawn quickly."""
+    photos: tuple[PhotoEntry, ...] = ()
+    truth: tuple[tuple[str, Camera], ...] = ()
+    """True cameras by photo name, where they are known (the demo)."""
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    """Upwards in world axes, for the view and for first cameras."""
+
+    @property
+    def used(self) -> tuple[PhotoEntry, ...]:
+        """The photos that take part."""
+        return tuple(entry for entry in self.photos if entry.enabled)
+
+    @property
+    def used_cameras(self) -> tuple[Camera, ...]:
+        """Cameras of the photos that take part."""
+        return tuple(entry.camera for entry in self.used)
+
+    def true_cameras(self, names: Sequence[str]) -> tuple[Camera, ...] | None:
+        """The true cameras of these photos, or None unless all are known."""
+        known = dict(self.truth)
+        if not names or any(name not in known for name in names):
+            return None
+        return tuple(known[name] for name in names)
+
+
+@dataclasses.dataclass(frozen=True)
+class CurvePoint:
+    """One point of the cost curve."""
+
+    step: int
+    """Which step of search and polish it is, from 0."""
+    best: float
+    """Cost of the best, relative to the first."""
+    median: float
+    """The same of the population's median; equal to ``best`` without one."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """A refinement: running, or ended and waiting to be accepted or reverted."""
+
+    status: Status = "idle"
+    photo_names: tuple[str, ...] = ()
+    start: tuple[Camera, ...] = ()
+    cameras: tuple[Camera, ...] = ()
+    """The best so far, in the order of ``photo_names``."""
+    phase: str = ""
+    step: str = ""
+    fraction: float = 0.0
+    elapsed_s: float = 0.0
+    evaluations: int = 0
+    curve: tuple[CurvePoint, ...] = ()
+    start_cost: float | None = None
+    """Photo-inconsistency of the start; known at the end."""
+    cost: float | None = None
+    """The same of the answer, measured in the same way."""
+    start_error_px: float | None = None
+    """Mean projection error against the truth, where it is known."""
+    error_px: float | None = None
+    outcome: str = ""
+    """How it ended, in words."""
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def is_active(self) -> bool:
+        """Whether the worker is at it."""
+        return self.status in ("starting", "running", "stopping")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Texture:
+    """A textured model as made by the worker."""
+
+    archive: bytes
+    """OBJ, MTL and PNG in a zip."""
+    glb: bytes
+    """The same model for the preview."""
+    cameras: tuple[Camera, ...]
+    """The cameras it was made with, to tell whether it is still of today."""
+    summary: str
+    """Size and coverage in words."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """Something other than a refinement that the worker does for the user."""
+
+    title: str
+    fraction: float = 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class State:
+    """Everything that is on screen, but for each browser's own view."""
+
+    document: Document = dataclasses.field(default_factory=Document)
+    selected: int = 0
+    mesh_opacity: float = 0.55
+    overlay_style: OverlayStyle = "blend"
+    overlay_onto: int = 0
+    """Index, among the photos used, of the photo the overlay is drawn upon."""
+    keep_size: bool = True
+    """Whether a change of focal length keeps the object's size in the photo."""
+    preset: PresetName = "default"
+    dark: bool = True
+    show_texture: bool = True
+    run: Run = dataclasses.field(default_factory=Run)
+    job: Job | None = None
+    texture: Texture | None = None
+    worker: str = "Starting the engine"
+    """What the worker process is about, in words; empty when it is ready."""
+    note: str = ""
+    """The last thing that happened, for the status line."""
+    undo_name: str | None = None
+    redo_name: str | None = None
+
+    @property
+    def photos(self) -> tuple[PhotoEntry, ...]:
+        """The photos with the cameras to show: those of the run while there is one."""
+        if self.run.status == "idle":
+            return self.document.photos
+        shown = dict(zip(self.run.photo_names, self.run.cameras, strict=True))
+        return tuple(
+            dataclasses.replace(entry, camera=shown.get(entry.name, entry.camera))
+            for entry in self.document.photos
+        )
+
+    @property
+    def selected_photo(self) -> PhotoEntry | None:
+        """The photo chosen for alignment."""
+        photos = self.photos
+        return photos[self.selected] if photos else None
+
+    @property
+    def texture_is_current(self) -> bool:
+        """Whether the texture was made with the cameras as they are now."""
+        now = self.document.used_cameras
+        return (
+            self.texture is not None
+            and len(now) == len(self.texture.cameras)
+            and all(map(same_camera, now, self.texture.cameras))
+        )
