@@ -172,12 +172,13 @@ def _view(
     up = np.cos(roll) * UP + np.sin(roll) * side / np.linalg.norm(side)
     focal_px = world.focal_share * width * rng.uniform(0.985, 1.015)
     distance = world.focal_share * mesh.diagonal
-    aim = rng.uniform(-0.012, 0.012, 2)
+    aim = width * rng.uniform(-0.012, 0.012, 2)
     fill = world.fill * rng.uniform(0.97, 1.03)
+    target = middle
 
     def looking() -> Camera:
         return Camera.look_at(
-            middle + distance * direction, middle, up, focal_px, width, height
+            middle + distance * direction, target, up, focal_px, width, height
         )
 
     for _ in range(3):
@@ -187,8 +188,8 @@ def _view(
         low, high = pixels.min(axis=0), pixels.max(axis=0)
         distance *= max((high - low) / (fill * np.array([width, height])))
         shift = 0.5 * (low + high) - camera.K[:2, 2]
-        middle = middle + shift @ camera.R_cam_world[:2] * distance / focal_px
-    middle = middle + aim * width @ looking().R_cam_world[:2] * distance / focal_px
+        target = target + shift @ camera.R_cam_world[:2] * distance / focal_px
+    target = target + aim @ looking().R_cam_world[:2] * distance / focal_px
     camera = looking()
     K = camera.K.copy()
     K[:2, 2] += rng.choice([-1.0, 1.0], 2) * rng.uniform(0.003, 0.006, 2) * width
