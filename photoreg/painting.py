@@ -46,7 +46,7 @@ class TextureConfig:
     """Use the mesh's own texture coordinates where they are valid."""
     max_angle_deg: float = 78.0
     """Surface seen at a flatter angle from its normal is not painted, in (0, 90)."""
-    margin: float = 0.002
+    margin: float = 0.003
     """Nearest to a silhouette, a jump in depth or the photo's border that colours are
     taken, as a share of the photo's longer side, but at least 2 pixels: lenses
     and errors of registration mix colours there."""
