@@ -14,11 +14,13 @@ from photoreg.photo import Photo
 from photoreg.photometric import (
     PairTerm,
     SurfaceView,
+    camera_rays,
     pair_points,
     prepare_photo,
     surface_view,
 )
 from photoreg.polish import Damping, Prior, Term, minimise
+from photoreg.silhouette import OUTLINE_SIGMA_PX, RimTerm, find_edges, find_rim
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,6 +41,14 @@ class PolishConfig:
     """Side of the cells that share an offset of light, in pixels of 1,024."""
     max_side_px: int = 2048
     """Photos are reduced to this many pixels on the longer side at most."""
+    use_colour: bool = True
+    """Compare the photos' colours on the surface."""
+    use_silhouette: bool = True
+    """Draw the mesh's rim to the photos' edges."""
+    rim_reaches_px: tuple[float, ...] = (40.0, 25.0, 12.0, 6.0, 4.0)
+    """How far each level looks for the edge, in pixels of a photo 1,024 px wide."""
+    rim_points: int = 1200
+    """Rim points a photo, at most about."""
 
     def __post_init__(self) -> None:
         n = len(self.blurs_px)
@@ -78,6 +88,7 @@ class PolishStep:
     """Normal matrix of the cost at x, in the same units."""
     increments: tuple[Increments, ...]
     """What the numbers mean."""
+    terms: tuple = ()
     warnings: tuple[str, ...] = ()
 
 
@@ -117,22 +128,26 @@ def polish_cameras(
     n_levels = len(config.blurs_px)
     prior = Prior(np.zeros_like(x), np.eye(len(x)))
     done = 0
-    for level, blur in enumerate(config.blurs_px):
+    for level in range(n_levels):
         for turn in range(config.rounds[level]):
             terms: list[Term] = [
                 prior,
-                *_pair_terms(
+                *_terms(
                     mesh,
                     photos,
                     increments,
                     x,
                     sizes,
-                    blur,
-                    config.points[level],
+                    level,
                     config,
                     seed + 101 * level + turn,
                 ),
             ]
+            if level + turn > 0:
+                terms = [
+                    term.tempered(x) if isinstance(term, PairTerm | RimTerm) else term
+                    for term in terms
+                ]
             damping = Damping(max_iterations=config.iterations)
             for step in minimise(terms, x, damping):
                 x = step.x
@@ -146,6 +161,7 @@ def polish_cameras(
                     x,
                     step.model.normal,
                     increments,
+                    tuple(terms),
                 )
 
 
@@ -172,21 +188,21 @@ def _pivot(mesh: Mesh, camera: Camera, name: str) -> np.ndarray:
             f"The camera of {name} does not see the mesh; align it by hand first."
         )
     rows, columns = np.nonzero(view.covered)
-    center, directions = small.rays(np.column_stack([columns, rows]))
-    return (center + view.depth[rows, columns][:, None] * directions).mean(axis=0)
+    origins, directions = camera_rays(small, np.column_stack([columns, rows]) * 1.0)
+    return (origins + view.depth[rows, columns][:, None] * directions).mean(axis=0)
 
 
-def _pair_terms(
+def _terms(
     mesh: Mesh,
     photos: Sequence[Photo],
     increments: Sequence[Increments],
     x: np.ndarray,
     sizes: Sequence[tuple[int, int]],
-    blur: float,
-    n_points: int,
+    level: int,
     config: PolishConfig,
     seed: int,
-) -> list[PairTerm]:
+) -> list[Term]:
+    blur, n_points = config.blurs_px[level], config.points[level]
     views: list[SurfaceView] = []
     images: list[np.ndarray] = []
     blurs: list[float] = []
@@ -201,7 +217,29 @@ def _pair_terms(
         blurs.append(sigma / reduction)
         images.append(prepare_photo(photo, view, blurs[-1]))
     pairs = [(i, k) for k in range(len(photos)) for i in range(k)]
-    terms = []
+    terms: list[Term] = []
+    if config.use_silhouette:
+        for i, (photo, view) in enumerate(zip(photos, views, strict=True)):
+            scale = view.camera.width / 1024.0
+            rim = find_rim(mesh, view, config.rim_points)
+            if len(rim.points) < 50:
+                continue
+            edges = find_edges(
+                photo, view, rim, max(3.0, config.rim_reaches_px[level] * scale)
+            )
+            rim_term = RimTerm.measured(
+                i,
+                rim,
+                edges,
+                (view.camera.width, view.camera.height),
+                increments[i],
+                OUTLINE_SIGMA_PX * scale,
+                0.5,
+            )
+            if rim_term is not None:
+                terms.append(rim_term)
+    if not config.use_colour:
+        return terms
     for i, k in pairs:
         cell = config.cell_px * views[i].camera.width / 1024.0
         surface = pair_points(

@@ -203,15 +203,32 @@ def sample_cubic(photo, u, v, out):
 
 
 @nb.njit(parallel=True, cache=True, nogil=True)
-def project_points(geometry, points):
-    """Pixels (n, 2) of points; NaN behind the camera."""
-    out = np.full((len(points), 2), np.nan)
-    for i in nb.prange(len(points)):
-        uv = np.zeros(5)
-        if project_point(geometry, points[i, 0], points[i, 1], points[i, 2], uv):
-            out[i, 0] = uv[0]
-            out[i, 1] = uv[1]
+def pixel_rays(pixels, K_inverse, R_cam_world):
+    """Directions in world axes of pixels (n, 2), with depth 1 along the camera's z."""
+    out = np.zeros((len(pixels), 3))
+    for i in nb.prange(len(pixels)):
+        u, v = pixels[i, 0], pixels[i, 1]
+        y = K_inverse[1, 1] * v + K_inverse[1, 2]
+        x = K_inverse[0, 0] * u + K_inverse[0, 1] * v + K_inverse[0, 2]
+        for k in range(3):
+            out[i, k] = (
+                R_cam_world[0, k] * x + R_cam_world[1, k] * y + R_cam_world[2, k]
+            )
     return out
+
+
+@nb.njit(cache=True, nogil=True)
+def rim_rows(geometry, points):
+    """Pixels (n, 2) and their derivatives by the increments (n, 2, 9); NaN behind."""
+    pixels = np.full((len(points), 2), np.nan)
+    rows = np.zeros((len(points), 2, N))
+    uv = np.zeros(5)
+    for i in range(len(points)):
+        if project_point(geometry, points[i, 0], points[i, 1], points[i, 2], uv):
+            pixels[i, 0] = uv[0]
+            pixels[i, 1] = uv[1]
+            projection_rows(geometry, uv, rows[i])
+    return pixels, rows
 
 
 @nb.njit(parallel=True, cache=True, nogil=True)
@@ -287,12 +304,13 @@ def pair_normal_equations(
         with_derivatives: False leaves gradient and normal matrix at zero.
 
     Returns:
-        Costs (chunks,), gradients (chunks, 18), normal matrices (chunks, 18, 18).
+        Costs (chunks, 3), gradients (cells, 3, 18), normal matrices
+        (chunks, 3, 18, 18), the channels apart.
     """
     n_chunks = len(chunk_starts) - 1
-    costs = np.zeros(n_chunks)
-    gradients = np.zeros((n_chunks, 2 * N))
-    normals = np.zeros((n_chunks, 2 * N, 2 * N))
+    costs = np.zeros((n_chunks, CHANNELS))
+    gradients = np.zeros((len(cell_starts) - 1, CHANNELS, 2 * N))
+    normals = np.zeros((n_chunks, CHANNELS, 2 * N, 2 * N))
     for chunk in nb.prange(n_chunks):
         longest = 0
         for cell in range(chunk_starts[chunk], chunk_starts[chunk + 1]):
@@ -309,9 +327,6 @@ def pair_normal_equations(
         uv_b = np.zeros(5)
         J = np.zeros(2 * N)
         mean_J = np.zeros((CHANNELS, 2 * N))
-        H = np.zeros((2 * N, 2 * N))
-        g = np.zeros(2 * N)
-        cost = 0.0
         for cell in range(chunk_starts[chunk], chunk_starts[chunk + 1]):
             first = cell_starts[cell]
             n = cell_starts[cell + 1] - first
@@ -346,6 +361,9 @@ def pair_normal_equations(
                 # Start between the wide and the robust mean: from zero a cell whose
                 # offset is beyond the cut would never be found.
                 b = 0.0
+                g = gradients[cell, k]
+                H = normals[chunk, k]
+                cost = 0.0
                 total = cell_precision[k]
                 for i in range(n):
                     if ok[i]:
@@ -403,10 +421,9 @@ def pair_normal_equations(
                     for j in range(2 * N):
                         for m in range(j + 1):
                             H[j, m] -= mean_J[k, j] * mean_J[k, m] / total
-        for j in range(2 * N):
-            gradients[chunk, j] = g[j]
-            for m in range(j + 1):
-                normals[chunk, j, m] = H[j, m]
-                normals[chunk, m, j] = H[j, m]
-        costs[chunk] = cost
+                costs[chunk, k] += cost
+        for k in range(CHANNELS):
+            for j in range(2 * N):
+                for m in range(j):
+                    normals[chunk, k, m, j] = normals[chunk, k, j, m]
     return costs, gradients, normals

@@ -9,10 +9,11 @@ from jaxtyping import Bool, Float, Int
 
 from photoreg.camera import Camera
 from photoreg.increments import N_INCREMENTS, Increments
-from photoreg.kernels_polish import pair_normal_equations, pair_values
+from photoreg.kernels_polish import pair_normal_equations, pair_values, pixel_rays
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
-from photoreg.polish import Quadratic
+from photoreg.polish import Quadratic, overdispersion
+from photoreg.raster import render_geometry
 
 N_CHUNKS = 32
 """Chunks of cells summed apart and then in order: the sum does not depend on threads."""
@@ -34,13 +35,13 @@ _OPPONENT = np.array(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SurfaceView:
-    """What a camera sees of the mesh, a pixel grid of rays."""
+    """What a camera sees of the mesh."""
 
     camera: Camera
     covered: Bool[np.ndarray, "h w"]
-    """Whether the pixel's ray meets the mesh."""
+    """Whether the pixel's centre shows the mesh."""
     depth: Float[np.ndarray, "h w"]
-    """Distance along the ray in model units; infinity where nothing is met."""
+    """Depth along the camera's z axis in model units; infinity where nothing is seen."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -63,40 +64,17 @@ class PairPoints:
 
 
 def surface_view(mesh: Mesh, camera: Camera) -> SurfaceView:
-    """Casts a ray through every pixel that the mesh's bounding box covers."""
-    h, w = camera.height, camera.width
-    covered = np.zeros((h, w), dtype=bool)
-    depth = np.full((h, w), np.inf)
-    x0, y0, x1, y1 = bounding_window(mesh, camera)
-    if x1 > x0 and y1 > y0:
-        xs, ys = np.meshgrid(np.arange(x0, x1), np.arange(y0, y1))
-        center, directions = camera.rays(np.column_stack([xs.ravel(), ys.ravel()]))
-        face, distance = mesh.first_hits(
-            np.broadcast_to(center, directions.shape), directions
-        )
-        covered[y0:y1, x0:x1] = (face >= 0).reshape(xs.shape)
-        depth[y0:y1, x0:x1] = distance.reshape(xs.shape)
-    return SurfaceView(camera, covered, depth)
+    """Draws the mesh at the camera's size."""
+    buffer = render_geometry(mesh, camera)
+    return SurfaceView(camera, buffer.face_index >= 0, buffer.depth)
 
 
-def bounding_window(mesh: Mesh, camera: Camera) -> tuple[int, int, int, int]:
-    """Pixels x0, y0 (first), x1, y1 (past the last) that may show the mesh."""
-    low, high = mesh.bounds
-    corners = np.array(
-        [
-            [x, y, z]
-            for x in (low[0], high[0])
-            for y in (low[1], high[1])
-            for z in (low[2], high[2])
-        ]
-    )
-    pixels = camera.project(corners)
-    if np.isnan(pixels).any():
-        return 0, 0, camera.width, camera.height
-    size = np.array([camera.width, camera.height])
-    first = np.clip(np.floor(pixels.min(axis=0)), 0, size).astype(int)
-    last = np.clip(np.ceil(pixels.max(axis=0)) + 1, 0, size).astype(int)
-    return first[0], first[1], last[0], last[1]
+def camera_rays(
+    camera: Camera, pixels: Float[np.ndarray, "n 2"]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Origins and directions (n, 3), in world axes, of pixels; depth 1 along z."""
+    directions = pixel_rays(pixels, np.linalg.inv(camera.K), camera.R_cam_world)
+    return np.broadcast_to(camera.center, directions.shape), directions
 
 
 def prepare_photo(
@@ -175,12 +153,10 @@ def pair_points(
     ]
     pixels = np.column_stack([chosen % camera.width, chosen // camera.width])
     pixels = pixels + rng.random(pixels.shape) - 0.5
-    center, directions = camera.rays(pixels)
-    face, distance = mesh.first_hits(
-        np.broadcast_to(center, directions.shape), directions
-    )
+    origins, directions = camera_rays(camera, pixels)
+    face, distance = mesh.first_hits(origins, directions)
     keep = face >= 0
-    points = center + np.where(keep, distance, 1.0)[:, None] * directions
+    points = origins + np.where(keep, distance, 1.0)[:, None] * directions
     normals = mesh.face_normals[np.maximum(face, 0)]
     for v, photo in zip(views, photos, strict=True):
         towards = v.camera.center - points
@@ -228,7 +204,7 @@ def _smooth_normals(normals: np.ndarray, starts: np.ndarray) -> np.ndarray:
     if len(normals) == 0:
         return normals
     starts = starts.astype(np.int64)
-    means = np.repeat(_cell_means(normals, starts), np.diff(starts), axis=0)
+    means = np.repeat(cell_means(normals, starts), np.diff(starts), axis=0)
     mixed = normals + means
     return mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
 
@@ -250,8 +226,8 @@ class PairTerm:
     offset: Float[np.ndarray, "3"]
     sigma: Float[np.ndarray, "3"]
     tau: Float[np.ndarray, "3"]
-    weight: float
-    n_photos: int
+    weight: Float[np.ndarray, "3"]
+    """Of each channel: independent residuals, as a share of the points."""
 
     @classmethod
     def measured(
@@ -264,7 +240,6 @@ class PairTerm:
         weight: float,
     ) -> "PairTerm":
         """The term, with exposure and noise measured at ``x``."""
-        n_photos = len(x) // N_INCREMENTS
         values = pair_values(
             surface.points, *images, *_geometries(pair, increments, images, x)
         )
@@ -278,24 +253,41 @@ class PairTerm:
             offset,
             sigma,
             tau,
-            weight,
-            n_photos,
+            np.full(3, weight),
         )
 
     def cost(self, x: Float[np.ndarray, "p"]) -> float:
         """The cost at ``x``."""
-        return self.weight * float(np.sum(self._sums(x, derivatives=False)[0]))
+        return float(self._sums(x, derivatives=False)[0].sum(axis=0) @ self.weight)
 
     def linearise(self, x: Float[np.ndarray, "p"]) -> Quadratic:
         """The cost and normal equations at ``x``."""
         costs, gradients, normals = self._sums(x, derivatives=True)
-        rows = np.concatenate(
+        rows = self._rows
+        gradient, normal = np.zeros(len(x)), np.zeros((len(x), len(x)))
+        gradient[rows] = self.weight @ gradients.sum(axis=0)
+        normal[np.ix_(rows, rows)] = np.einsum(
+            "k,kij->ij", self.weight, normals.sum(axis=0)
+        )
+        return Quadratic(float(costs.sum(axis=0) @ self.weight), gradient, normal)
+
+    def tempered(self, x: Float[np.ndarray, "p"]) -> "PairTerm":
+        """The term with each channel weighted by what it knows at ``x``."""
+        _, gradients, normals = self._sums(x, derivatives=True)
+        ratios = [
+            overdispersion(
+                self.weight[k] * gradients[:, k],
+                self.weight[k] * normals[:, k].sum(axis=0),
+            )
+            for k in range(len(self.weight))
+        ]
+        return dataclasses.replace(self, weight=self.weight / ratios)
+
+    @property
+    def _rows(self) -> np.ndarray:
+        return np.concatenate(
             [np.arange(N_INCREMENTS) + i * N_INCREMENTS for i in self.pair]
         )
-        gradient, normal = np.zeros(len(x)), np.zeros((len(x), len(x)))
-        gradient[rows] = self.weight * gradients.sum(axis=0)
-        normal[np.ix_(rows, rows)] = self.weight * normals.sum(axis=0)
-        return Quadratic(self.weight * float(costs.sum()), gradient, normal)
 
     def _sums(
         self, x: np.ndarray, *, derivatives: bool
@@ -331,7 +323,7 @@ def measure_noise(
     """
     counts = np.diff(cell_starts)
     values = np.nan_to_num(values)
-    means = _cell_means(values.reshape(len(values), -1), cell_starts).reshape(-1, 2, 3)
+    means = cell_means(values.reshape(len(values), -1), cell_starts).reshape(-1, 2, 3)
     within = values - np.repeat(means, counts, axis=0)
     # Deviations within cells: slow light would otherwise pass for contrast.
     spread = np.sqrt(np.maximum((within**2).mean(axis=0), 1e-6))
@@ -339,7 +331,7 @@ def measure_noise(
     residual = values[:, 0] * gain - values[:, 1] / gain
     offset = np.median(residual, axis=0)
     residual = residual - offset
-    cells = _cell_means(residual, cell_starts)
+    cells = cell_means(residual, cell_starts)
     inner = residual - np.repeat(cells, counts, axis=0)
     # n - 1 of n: the cell's mean took one degree of freedom.
     lost = np.sqrt(len(values) / max(len(values) - len(counts), 1))
@@ -352,7 +344,8 @@ def measure_noise(
     return gain, offset, sigma, np.sqrt(np.maximum(between - noise, 0.0))
 
 
-def _cell_means(values: np.ndarray, cell_starts: np.ndarray) -> np.ndarray:
+def cell_means(values: np.ndarray, cell_starts: np.ndarray) -> np.ndarray:
+    """Mean of the rows of each cell."""
     sums = np.add.reduceat(values, cell_starts[:-1], axis=0)
     return sums / np.diff(cell_starts)[:, None]
 

@@ -139,3 +139,24 @@ def minimise(
             before
         ):
             return
+
+
+def overdispersion(
+    scores: Float[np.ndarray, "cells p"], normal: Float[np.ndarray, "p p"]
+) -> float:
+    """How much less the data knows than its normal matrix says, at least 1.
+
+    Were all residuals independent, the gradient's spread over cells would add up to
+    the normal matrix. Errors that neighbours share (of the mesh, of the light) make it
+    larger; dividing the term's weight by the ratio restores the balance.
+
+    References:
+        The sandwich estimator over clusters: K.-Y. Liang and S. Zeger, "Longitudinal
+        data analysis using generalized linear models", 1986.
+    """
+    values, vectors = np.linalg.eigh(normal)
+    known = values > 1e-9 * values.max(initial=1e-300)
+    if not known.any() or len(scores) < 2:
+        return 1.0
+    along = (scores - scores.mean(axis=0)) @ vectors[:, known]
+    return max(1.0, float(np.mean((along**2).sum(axis=0) / values[known])))

@@ -1,0 +1,378 @@
+"""The rim of the mesh, and the edges of the photo it should fall on.
+
+The rim is where the mesh ends against nothing, as a camera sees it: found on a grid
+of rays, then along each normal by bisection, so it needs no connectivity and meets
+meshes of any size. Where the surface itself ends (a border of the mesh) there is no
+silhouette, and no residual.
+
+Moving a camera, each rim point stays on its place of the surface to first order: the
+rim slides over the surface, but along the line of sight only (R. Cipolla and P.
+Giblin, "Visual Motion of Curves and Surfaces", 2000, section 2).
+"""
+
+import dataclasses
+import itertools
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from photoreg.increments import N_INCREMENTS, Increments
+from photoreg.kernels_polish import rim_rows
+from photoreg.mesh import Mesh
+from photoreg.photo import Photo
+from photoreg.photometric import SurfaceView, camera_rays, cell_means
+from photoreg.polish import Quadratic, overdispersion
+
+CUT = 2.0
+"""Scale of the Cauchy cost in residual sigmas."""
+MIN_SIGMA_PX = 0.1
+"""Least residual scale, in pixels: edges are not found better than this."""
+SEGMENT_POINTS = 12
+"""Rim points in a row that share an offset: an edge is wrong over a stretch."""
+OUTLINE_SIGMA_PX = 0.5
+"""Spread of the offset that a whole outline has: scans come out fat or thin."""
+BISECTIONS = 7
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Rim:
+    """Points of a mesh's rim as one camera sees it, in order along the rim."""
+
+    points: Float[np.ndarray, "n 3"]
+    """On the surface, world axes."""
+    pixels: Float[np.ndarray, "n 2"]
+    """In the view, between the last ray that hits and the first that does not."""
+    normals: Float[np.ndarray, "n 2"]
+    """Unit vectors in the view, away from the object."""
+
+
+def find_rim(mesh: Mesh, view: SurfaceView, n_points: int) -> Rim:
+    """The rim of ``mesh`` in ``view``, about ``n_points`` points, without borders."""
+    covered = view.covered
+    none = Rim(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 2)))
+    contours, _ = cv2.findContours(
+        covered.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE
+    )
+    # Holes and islands of a few pixels are noise of the mesh, not its shape.
+    chains = [c[:, 0, :] for c in contours if len(c) >= 24]
+    if not chains:
+        return none
+    total = sum(len(chain) for chain in chains)
+    stride = max(1.0, total / n_points)
+    pixels = np.concatenate(
+        [chain[np.arange(0, len(chain), stride).astype(int)] for chain in chains]
+    ).astype(np.float64)
+    smooth = cv2.GaussianBlur(covered.astype(np.float32), (0, 0), 1.5)
+    columns, rows = pixels.astype(int).T
+    height, width = covered.shape
+    inside = (columns > 2) & (rows > 2) & (columns < width - 3) & (rows < height - 3)
+    pixels, columns, rows = pixels[inside], columns[inside], rows[inside]
+    normals = -np.column_stack(
+        [
+            smooth[rows, columns + 1] - smooth[rows, columns - 1],
+            smooth[rows + 1, columns] - smooth[rows - 1, columns],
+        ]
+    ).astype(np.float64)
+    lengths = np.linalg.norm(normals, axis=1)
+    keep = lengths > 0.05
+    pixels, normals = pixels[keep], normals[keep] / lengths[keep, None]
+    if len(pixels) == 0:
+        return none
+
+    near, far = np.full(len(pixels), 0.0), np.full(len(pixels), 2.5)
+    good = np.ones(len(pixels), dtype=bool)
+    face_at = np.full(len(pixels), -1)
+    depth_at = np.zeros(len(pixels))
+    # First and second round: the ends of the interval, which must differ.
+    for attempt in range(BISECTIONS + 2):
+        at = near if attempt == 0 else far if attempt == 1 else 0.5 * (near + far)
+        face, depth = mesh.first_hits(
+            *camera_rays(view.camera, pixels + at[:, None] * normals)
+        )
+        hit = face >= 0
+        if attempt == 0:
+            good &= hit
+        elif attempt == 1:
+            good &= ~hit
+        else:
+            near, far = np.where(hit, at, near), np.where(hit, far, at)
+        last = hit & (attempt != 1)
+        face_at = np.where(last, face, face_at)
+        depth_at = np.where(last, depth, depth_at)
+    pixels = pixels + (0.5 * (near + far))[:, None] * normals
+    origins, directions = camera_rays(view.camera, pixels)
+    points = origins + depth_at[:, None] * directions
+    good &= face_at >= 0
+    facing = np.einsum("ij,ij->i", mesh.face_normals[face_at], directions) < 0.0
+    good &= facing & ~_at_border(mesh, face_at)
+    return Rim(points[good], pixels[good], normals[good])
+
+
+def _at_border(mesh: Mesh, faces: Int[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
+    """Whether each face has an edge that no other face has (repeated vertices as one)."""
+    # Only the faces around those asked for are looked at: a whole mesh's edges would
+    # take a second a million faces. Vertices at one position are one, as along the
+    # seams of some files; equal hashes of the bits stand for equal positions.
+    bits = np.ascontiguousarray(mesh.vertices + 0.0).view(np.uint64)
+    factors = np.array(
+        [0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64
+    )
+    position = ((bits ^ (bits >> np.uint64(29))) * factors).sum(axis=1, dtype=np.uint64)
+    near = np.isin(position, position[np.unique(mesh.faces[faces])])
+    around = np.flatnonzero(near[mesh.faces].any(axis=1))
+    _, welded = np.unique(position[mesh.faces[around]], return_inverse=True)
+    vertices = welded.reshape(-1, 3).astype(np.int64)
+    ends = np.stack([vertices, np.roll(vertices, -1, axis=1)], axis=-1)
+    low_end, high_end = ends.min(axis=-1), ends.max(axis=-1)
+    keys = low_end * (vertices.max() + 1) + high_end
+    _, index, counts = np.unique(keys, return_inverse=True, return_counts=True)
+    single = (counts[index.reshape(-1, 3)] == 1).any(axis=1)
+    border = np.zeros(len(mesh.faces), dtype=bool)
+    border[around] = single
+    return border[faces]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ColourModel:
+    """How much likelier a colour is inside the object than around it."""
+
+    log_ratio: Float[np.ndarray, "b b b"]
+    """log p(inside) / p(outside) of each bin of red, green and blue, clipped."""
+
+    def of(self, colours: Float[np.ndarray, "*n 3"]) -> np.ndarray:
+        """The log ratio of each colour (0 to 255)."""
+        b = self.log_ratio.shape[0]
+        index = np.clip(colours * (b / 256.0), 0, b - 1).astype(np.int64)
+        return self.log_ratio[index[..., 0], index[..., 1], index[..., 2]]
+
+
+def colour_model(
+    pixels: Float[np.ndarray, "h w 3"],
+    covered: Bool[np.ndarray, "h w"],
+    reach_px: float,
+) -> ColourModel:
+    """Colours inside the object and in a band of ``reach_px`` around it.
+
+    The cover may be off by some pixels: the mistake is in both histograms and only
+    makes them more alike.
+    """
+    bins = 24
+    radius = max(2, round(reach_px))
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1,) * 2)
+    wide = cv2.dilate(covered.astype(np.uint8), kernel) > 0
+    histograms = []
+    for region in (covered, wide & ~covered):
+        values = np.clip(pixels[region] * (bins / 256.0), 0, bins - 1).astype(np.int64)
+        flat = (values[:, 0] * bins + values[:, 1]) * bins + values[:, 2]
+        counts = np.bincount(flat, minlength=bins**3).reshape(bins, bins, bins)
+        smooth = counts.astype(np.float64)
+        for axis in range(3):
+            padded = np.pad(
+                smooth, [(1, 1) if a == axis else (0, 0) for a in range(3)], mode="edge"
+            )
+            a, b, c = (
+                np.take(padded, np.arange(bins) + shift, axis=axis)
+                for shift in range(3)
+            )
+            smooth = 0.25 * a + 0.5 * b + 0.25 * c
+        histograms.append((smooth + 0.02) / (smooth + 0.02).sum())
+    ratio = np.log(histograms[0] / histograms[1])
+    return ColourModel(np.clip(ratio, -3.0, 3.0))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RimEdges:
+    """For each rim point the photo's edge along its normal."""
+
+    offset_px: Float[np.ndarray, "n"]
+    """From the rim outwards to the edge, in pixels of the view; NaN: none found."""
+
+
+def find_edges(photo: Photo, view: SurfaceView, rim: Rim, reach_px: float) -> RimEdges:
+    """Searches each rim point's normal for the edge between object and surroundings.
+
+    The edge is where colours like the object's give way to colours like the
+    surroundings', where the colour steps, and near. Where colours inside and outside
+    are alike, the step alone counts.
+    """
+    size = (view.camera.width, view.camera.height)
+    pixels = photo.pixels
+    if (photo.width, photo.height) != size:
+        pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+    values = cv2.GaussianBlur(pixels.astype(np.float32), (0, 0), 0.8)
+    model = colour_model(values, view.covered, reach_px)
+    half = 2.0
+    reach = max(3, round(reach_px * half))
+    steps = np.arange(-reach - 2, reach + 3) / half
+    at = rim.pixels[:, None, :] + steps[None, :, None] * rim.normals[:, None, :]
+    maps = at.astype(np.float32)
+    profile = cv2.remap(
+        values,
+        maps[..., 0],
+        maps[..., 1],
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    slope = 0.5 * (profile[:, 2:] - profile[:, :-2])
+    strength = np.sqrt((slope**2).sum(axis=2))[:, 1:-1]
+    ratio = model.of(profile)[:, 2:-2]
+    # Inside up to here, outside from here on; neighbours are not independent.
+    inside = np.cumsum(ratio, axis=1)
+    split = (2.0 * inside - inside[:, -1:]) / (half * 4.0)
+    positions = steps[2:-2]
+    noise = np.median(strength) + 1.0
+    score = (
+        split
+        + 2.0 * np.log1p(strength / noise)
+        - 0.5 * (positions / (0.5 * reach_px)) ** 2
+    )
+    rows = np.arange(len(score))
+    best = np.clip(score.argmax(axis=1), 1, len(positions) - 2)
+    # To the nearest top of the step's strength, then to a fraction by a parabola.
+    for _ in range(3):
+        left, here, right = (strength[rows, best + d] for d in (-1, 0, 1))
+        best = best + np.where((right > here) & (right >= left), 1, 0)
+        best = best - np.where((left > here) & (left > right), 1, 0)
+        best = np.clip(best, 1, len(positions) - 2)
+    left, here, right = (strength[rows, best + d] for d in (-1, 0, 1))
+    bend = left - 2.0 * here + right
+    peak = (bend < 0.0) & (here >= left) & (here >= right) & (here > noise)
+    fraction = np.where(peak, 0.5 * (left - right) / np.where(peak, bend, 1.0), 0.0)
+    offset = positions[best] + np.clip(fraction, -0.5, 0.5) / half
+    shown = view.camera.contains(rim.pixels + offset[:, None] * rim.normals)
+    return RimEdges(np.where(peak & shown, offset, np.nan))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RimTerm:
+    """Distance of one photo's rim from the photo's edges: a term of the polish."""
+
+    photo: int
+    """Index of the photo."""
+    rim: Rim
+    edges: Float[np.ndarray, "n 2"]
+    """The edge that each rim point should fall on, in pixels of the view."""
+    cell_starts: Int[np.ndarray, "cells+1"]
+    """First point of each segment of the rim."""
+    size: tuple[int, int]
+    """Width and height of the view."""
+    increments: Increments
+    sigma: float
+    """Residual scale within segments, in pixels of the view."""
+    tau: float
+    """Spread of the segments' offsets, in pixels of the view."""
+    outline: float
+    """Spread of the whole outline's offset, in pixels of the view."""
+    weight: float
+    """Independent residuals, as a share of the points."""
+
+    @classmethod
+    def measured(
+        cls,
+        photo: int,
+        rim: Rim,
+        edges: RimEdges,
+        size: tuple[int, int],
+        increments: Increments,
+        outline_px: float,
+        weight: float,
+    ) -> "RimTerm | None":
+        """The term with its noise measured; None where too few edges were found."""
+        found = np.isfinite(edges.offset_px)
+        if found.sum() < 4 * SEGMENT_POINTS:
+            return None
+        rim = Rim(rim.points[found], rim.pixels[found], rim.normals[found])
+        offset = edges.offset_px[found]
+        starts = np.append(
+            np.arange(0, len(offset) - SEGMENT_POINTS // 2, SEGMENT_POINTS), len(offset)
+        )
+        medians = np.array(
+            [np.median(offset[a:b]) for a, b in itertools.pairwise(starts)]
+        )
+        inner = offset - np.repeat(medians, np.diff(starts))
+        sigma = max(1.4826 * float(np.median(np.abs(inner))), MIN_SIGMA_PX)
+        centred = medians - np.median(medians)
+        spread = (1.4826 * float(np.median(np.abs(centred)))) ** 2
+        tau = np.sqrt(max(spread - sigma**2 / SEGMENT_POINTS, 0.0))
+        return cls(
+            photo,
+            rim,
+            rim.pixels + offset[:, None] * rim.normals,
+            starts.astype(np.int64),
+            size,
+            increments,
+            sigma,
+            float(max(tau, 1e-3)),
+            outline_px,
+            weight,
+        )
+
+    def cost(self, x: Float[np.ndarray, "p"]) -> float:
+        """The cost at ``x``."""
+        residual, _ = self._residuals(x)
+        return self._offsets(residual)[2]
+
+    def linearise(self, x: Float[np.ndarray, "p"]) -> Quadratic:
+        """The cost and normal equations at ``x``."""
+        residual, rows = self._residuals(x)
+        weights, error, cost = self._offsets(residual)
+        J = -np.einsum("nd,ndp->np", self.rim.normals, rows) / self.sigma
+        starts = self.cell_starts
+        # The segments' offsets and the outline's, eliminated.
+        A = np.column_stack([J, np.ones(len(J))])
+        wA = weights[:, None] * A
+        normal = A.T @ wA
+        sums = np.add.reduceat(wA, starts[:-1], axis=0)
+        precision = self.weight * (self.sigma / self.tau) ** 2
+        totals = np.add.reduceat(weights, starts[:-1]) + precision
+        normal -= (sums / totals[:, None]).T @ sums
+        last = normal[-1, -1] + (self.sigma / self.outline) ** 2
+        normal = normal[:-1, :-1] - np.outer(normal[:-1, -1], normal[-1, :-1]) / last
+        own = slice(self.photo * N_INCREMENTS, (self.photo + 1) * N_INCREMENTS)
+        whole, gradient = np.zeros((len(x), len(x))), np.zeros(len(x))
+        whole[own, own] = normal
+        gradient[own] = J.T @ (weights * error)
+        return Quadratic(cost, gradient, whole)
+
+    def tempered(self, x: Float[np.ndarray, "p"]) -> "RimTerm":
+        """The term weighted by what its segments know at ``x``."""
+        residual, rows = self._residuals(x)
+        weights, error, _ = self._offsets(residual)
+        J = -np.einsum("nd,ndp->np", self.rim.normals, rows) / self.sigma
+        parts = np.add.reduceat((weights * error)[:, None] * J, self.cell_starts[:-1])
+        own = slice(self.photo * N_INCREMENTS, (self.photo + 1) * N_INCREMENTS)
+        ratio = overdispersion(parts, self.linearise(x).normal[own, own])
+        return dataclasses.replace(self, weight=self.weight / ratio)
+
+    def _residuals(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        own = x[self.photo * N_INCREMENTS : (self.photo + 1) * N_INCREMENTS]
+        geometry = self.increments.geometry(own, *self.size)
+        pixels, rows = rim_rows(geometry, self.rim.points)
+        residual = np.einsum("nd,nd->n", self.rim.normals, self.edges - pixels)
+        return residual / self.sigma, rows
+
+    def _offsets(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """Weights, residuals after the offsets, and the cost."""
+        starts, counts = self.cell_starts, np.diff(self.cell_starts)
+        precision = self.weight * (self.sigma / self.tau) ** 2
+        outline_precision = (self.sigma / self.outline) ** 2
+        segments = cell_means(residual[:, None], starts)[:, 0]
+        segments *= self.tau**2 / (self.tau**2 + self.sigma**2 / SEGMENT_POINTS)
+        outline = 0.0
+        for _ in range(6):
+            error = residual - outline - np.repeat(segments, counts)
+            w = self.weight / (1.0 + (error / CUT) ** 2)
+            without = w * (residual - outline)
+            segments = np.add.reduceat(without, starts[:-1]) / (
+                np.add.reduceat(w, starts[:-1]) + precision
+            )
+            rest = residual - np.repeat(segments, counts)
+            outline = float(w @ rest) / (float(w.sum()) + outline_precision)
+        error = residual - outline - np.repeat(segments, counts)
+        cost = (
+            self.weight * 0.5 * CUT**2 * float(np.log1p((error / CUT) ** 2).sum())
+            + 0.5 * precision * float(segments @ segments)
+            + 0.5 * outline_precision * outline**2
+        )
+        return self.weight / (1.0 + (error / CUT) ** 2), error, cost
