@@ -19,8 +19,9 @@ ROTATION_SIGMA_DEG = 1.4
 """Error of the rotation about the object, each axis."""
 AIM_SHARE = 0.006
 """Error of the aim in the photo, each axis, over the photo's longer side."""
-PRINCIPAL_POINT_SHARE = 0.005
-"""Largest error of the principal point over the photo's longer side."""
+PRINCIPAL_POINT_SHARE = 0.004
+"""Largest error of the principal point over the photo's longer side: within the
+interval that a search gives it by default."""
 N_POINTS = 2_000
 """Surface points that measure the error."""
 
