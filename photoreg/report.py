@@ -4,6 +4,7 @@ import base64
 import dataclasses
 import html
 import json
+import os
 import platform
 from collections.abc import Sequence
 from pathlib import Path
@@ -161,14 +162,16 @@ def _introduction(setup: Setup, runs: Sequence[Run]) -> list[str]:
         f"{min(starts):.1f} to {max(starts):.1f} px off and inside the paper's gene "
         "intervals; all methods share the starts. Error: the paper's equation 5, in "
         "pixels.",
-        f"Measured on {platform.machine()} with {platform.system()}, Python "
-        f"{platform.python_version()}.",
+        f"Measured on {platform.machine()} with {os.cpu_count()} processor cores, "
+        f"{platform.system()}, Python {platform.python_version()}.",
     ]
 
 
 def _table_1(runs: Sequence[Run]) -> tuple[list[str], list[list[str]]]:
-    """Error of each run, one column a population and one for the default preset."""
-    columns: dict[str, dict[int, float]] = {}
+    """Error of each run: before, by each size of population, by the default preset."""
+    columns: dict[str, dict[int, float]] = {
+        "manual start": {run.run: run.start_px for run in runs}
+    }
     for run in runs:
         if run.table == "population" or run.method == "default preset":
             columns.setdefault(run.method, {})[run.run] = run.end_px
@@ -182,7 +185,10 @@ def _table_1(runs: Sequence[Run]) -> tuple[list[str], list[list[str]]]:
     return ["run", *columns], rows
 
 
-HEADER = ("method", "runs", "mean px", "± px", "worst px", "s", "evaluations", "paper")
+HEADER = (
+    *("method", "runs", "mean px", "± px", "worst px", "s", "evaluations"),
+    "the paper",
+)
 
 
 def _cells(row: Row) -> list[str]:

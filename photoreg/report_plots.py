@@ -62,9 +62,9 @@ def draw_cost_against_error(runs: Sequence[Run]) -> str:
         axes.scatter(
             [cost for cost, _ in way],
             [error for _, error in way],
-            s=10,
+            s=16,
             color=colour,
-            alpha=0.3,
+            alpha=0.4,
             linewidths=0,
             label=f"{method}: best on the way",
         )

@@ -36,7 +36,8 @@ class Reproduced:
 
     paths: tuple[Path, ...]
     """The files; report.html is the one to open."""
-    runs: tuple[Run, ...]
+    runs: tuple[Run, ...] = dataclasses.field(repr=False)
+    """Every run of every method."""
 
 
 def reproduce(
