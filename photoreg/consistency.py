@@ -40,6 +40,9 @@ class ConsistencyConfig:
     exposure: bool = True
     """Whether gain and offset of each colour channel may differ between photos; solved
     in closed form for each individual."""
+    relative: bool = False
+    """Whether the cost is relative to the variance of the colours seen, so that cameras
+    that look at something plain gain nothing. Not for mncc, which is so already."""
     min_cosine: float = 0.5
     """A camera sees a point if the cosine between its normal and the direction to the
     camera is at least this, in [0, 1). 0.5 is 60 degrees."""
@@ -180,6 +183,7 @@ class PhotoConsistency:
         if allowed is not None:
             self.allow(allowed)
         self.min_samples = 1
+        self._reference_spread = 0.0
         self.evaluations = 0
 
     def allow(self, allowed: Bool[np.ndarray, "m n"]) -> None:
@@ -187,8 +191,15 @@ class PhotoConsistency:
         self._allowed = np.ascontiguousarray(allowed, dtype=np.uint8)
 
     def require(self, cameras: Sequence[Camera]) -> None:
-        """Demands ``min_share`` of the samples that these cameras see in common."""
-        self.min_samples = max(1, int(self.config.min_share * self.n_common(cameras)))
+        """Measures the others by these cameras.
+
+        A finite cost needs ``min_share`` of the samples that these see in common; and
+        if the cost is ``relative``, it is so to the variance of the colours they see.
+        """
+        self.min_samples, self._reference_spread = 1, 1.0
+        _, counts, spreads = self._evaluate(_poses_of(cameras))
+        self.min_samples = max(1, int(self.config.min_share * counts[0]))
+        self._reference_spread = float(spreads[0]) if self.config.relative else 0.0
 
     def cost(self, cameras: Sequence[Camera]) -> float:
         """The cost of one set of cameras; +inf when they see too little in common."""
@@ -205,12 +216,12 @@ class PhotoConsistency:
         self.evaluations += len(genes)
         return self._evaluate(gene_map.poses(genes))[0]
 
-    def _evaluate(self, poses: Poses) -> tuple[np.ndarray, np.ndarray]:
+    def _evaluate(self, poses: Poses) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         config = self.config
         projections, centers = self._normalised(poses)
         n_chunks = min(len(projections), 4 * nb.get_num_threads())
         if self._patches is not None:
-            return population_mncc(
+            costs, counts = population_mncc(
                 self._points,
                 self._patches,
                 projections,
@@ -222,6 +233,7 @@ class PhotoConsistency:
                 self.min_samples,
                 n_chunks,
             )
+            return costs, counts, np.zeros(len(costs))
         low_share, high_share = config.trimmed_shares
         return population_costs(
             self._points,
@@ -236,6 +248,7 @@ class PhotoConsistency:
             high_share,
             config.cost == "variance",
             config.exposure,
+            self._reference_spread,
             self.min_samples,
             n_chunks,
         )

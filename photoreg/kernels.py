@@ -29,6 +29,10 @@ MAX_GAIN = 2.0
 channel without contrast is noise, and its ratio between photos means nothing."""
 
 
+LEAST_SPREAD = 1e-3
+"""Least variance of colours that a cost is divided by, relative to the reference."""
+
+
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
 def project(points, P, center, width, height, min_cosine, allowed, u, v, seen):
     """Projects samples by one camera and marks those it sees.
@@ -134,7 +138,11 @@ def pair_exposure(colours, n, gains, offsets):
         n: How many samples.
         gains: (2, 4) float32, written: colour = gain colour + offset.
         offsets: (2, 4) float32, written.
+
+    Returns:
+        The photos' common variance, summed over the channels.
     """
+    total = 0.0
     for c in range(3):
         sum_a, sum_b, square_a, square_b = 0.0, 0.0, 0.0, 0.0
         for k in range(n):
@@ -147,10 +155,12 @@ def pair_exposure(colours, n, gains, offsets):
         spread_a = max(square_a / n - mean_a * mean_a, 0.0)
         spread_b = max(square_b / n - mean_b * mean_b, 0.0)
         common = 0.5 * (spread_a + spread_b)
+        total += common
         mean = 0.5 * (mean_a + mean_b)
         gain_a, gain_b = clipped_gain(common, spread_a), clipped_gain(common, spread_b)
         gains[0, c], offsets[0, c] = gain_a, mean - gain_a * mean_a
         gains[1, c], offsets[1, c] = gain_b, mean - gain_b * mean_b
+    return total
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -176,8 +186,12 @@ def group_exposure(colours, seen, index, n, gains, offsets):
         n: How many samples.
         gains: (m, 4) float32, written.
         offsets: (m, 4) float32, written.
+
+    Returns:
+        The photos' common variance, summed over the channels.
     """
     n_photos = colours.shape[0]
+    total = 0.0
     shift = np.zeros(n_photos)
     own_sum = np.zeros(n_photos)
     count = np.zeros(n_photos)
@@ -219,6 +233,8 @@ def group_exposure(colours, seen, index, n, gains, offsets):
             gain = clipped_gain(theirs[i], own[i])
             gains[i, c] = gain
             offsets[i, c] = gain * shift[i] + (1.0 - gain) * own_sum[i]
+            total += theirs[i] / max(count[i], 1.0) / n_photos
+    return total
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
@@ -323,6 +339,7 @@ def population_costs(
     high_share,
     is_variance,
     with_exposure,
+    reference_spread,
     min_samples,
     n_chunks,
 ):
@@ -341,16 +358,20 @@ def population_costs(
         high_share: Share of the largest.
         is_variance: Variance of the colours in place of squared pair differences.
         with_exposure: Whether to equalise gain and offset between photos.
+        reference_spread: If above 0, the cost is multiplied by this over the variance
+            of the colours seen: looking at something plain is no agreement.
         min_samples: With fewer, the cost is +inf.
         n_chunks: Into how many parts the population is split for the threads.
 
     Returns:
-        costs (p,) float64 and counts (p,) int64.
+        costs (p,) float64, counts (p,) int64, and the variance of the colours seen
+        (p,) float64; 0 where it was not asked for.
     """
     n_individuals, n_photos = projections.shape[0], projections.shape[1]
     n = points.shape[1]
     costs = np.full(n_individuals, np.inf)
     kept = np.zeros(n_individuals, np.int64)
+    spreads = np.zeros(n_individuals)
     for chunk in nb.prange(n_chunks):
         u = np.empty((n_photos, n), np.float32)
         v = np.empty((n_photos, n), np.float32)
@@ -395,10 +416,17 @@ def population_costs(
             kept[individual] = n_seen
             if n_seen < min_samples:
                 continue
-            if with_exposure and n_photos == 2:
-                pair_exposure(colours, n_seen, gains, offsets)
-            elif with_exposure:
-                group_exposure(colours, seen, index, n_seen, gains, offsets)
+            if with_exposure or reference_spread > 0.0:
+                if n_photos == 2:
+                    spread = pair_exposure(colours, n_seen, gains, offsets)
+                else:
+                    spread = group_exposure(
+                        colours, seen, index, n_seen, gains, offsets
+                    )
+                spreads[individual] = spread
+                if not with_exposure:
+                    gains[:, :] = np.float32(1.0)
+                    offsets[:, :] = np.float32(0.0)
             if n_photos == 2 and not is_variance:
                 pair_differences(colours, n_seen, gains, offsets, values)
             else:
@@ -413,4 +441,7 @@ def population_costs(
                 counts,
                 border,
             )
-    return costs, kept
+            if reference_spread > 0.0:
+                least = LEAST_SPREAD * reference_spread
+                costs[individual] *= reference_spread / max(spread, least)
+    return costs, kept, spreads

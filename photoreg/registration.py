@@ -14,7 +14,7 @@ from photoreg.genes import GeneMap
 from photoreg.genetic import Generation, evolve
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
-from photoreg.presets import PresetName, RegistrationConfig
+from photoreg.presets import JUDGE, OBJECT_BOX, PresetName, RegistrationConfig
 from photoreg.sampling import SurfaceSamples, sample_surface
 from photoreg.visibility import visible
 
@@ -29,6 +29,10 @@ __all__ = [
 
 MIN_OVERLAP = 0.1
 """Share of what the photos see that two must see, lest the user is warned."""
+
+USEFUL_SEARCH = 0.6
+"""A search that leaves more than this share of the start's cost found nothing: the
+photos' colours cannot tell, or the start was as good. The polish then starts there."""
 
 SEARCH_SHARE = 0.3
 """Share of the progress bar given to the search where a polish follows."""
@@ -82,8 +86,11 @@ class _Run:
         cameras: Sequence[Camera],
         config: RegistrationConfig,
     ) -> None:
-        self.mesh, self.photos, self.config = mesh, tuple(photos), config
-        self.start = self.best = tuple(cameras)
+        self.mesh, self.config = mesh, config
+        self.given_photos, self.given = tuple(photos), tuple(cameras)
+        self.active = tuple(range(len(photos)))
+        """Which photos take part: those whose cameras see the surface."""
+        self.best = self.given
         self.began = time.perf_counter()
         self.seconds: dict[str, float] = {}
         self.generations = self.evaluations = 0
@@ -93,7 +100,7 @@ class _Run:
     def events(self) -> Iterator[Event]:
         yield self._progress("prepare", "getting ready", 0.0, np.inf, np.inf)
         mesh, config = self.mesh, self.config
-        self.warnings += view_warnings(mesh, self.photos, self.start)
+        self._leave_out_the_blind()
         samples = shared_samples(mesh, self.start, config)
         patches = None
         if config.consistency.cost == "mncc":
@@ -118,6 +125,53 @@ class _Run:
             self._clock("polish")
         yield self._finished(consistency, gene_map)
 
+    @property
+    def photos(self) -> tuple[Photo, ...]:
+        """The photos that take part."""
+        return tuple(self.given_photos[i] for i in self.active)
+
+    @property
+    def start(self) -> tuple[Camera, ...]:
+        """The pre-registration of the photos that take part."""
+        return tuple(self.given[i] for i in self.active)
+
+    def _leave_out_the_blind(self) -> None:
+        """Finds who sees the surface, and warns of who does not.
+
+        Raises:
+            RefinementError: if nobody does.
+        """
+        seen = visible(
+            sample_surface(self.mesh, 2000, 0), self.given, self.mesh, "rays", 0.0
+        )
+        self.active = tuple(np.flatnonzero(seen.any(axis=1)).tolist())
+        self.best = self.start
+        if not self.active:
+            raise RefinementError(
+                "No camera sees the surface from where it stands. Align the cameras "
+                "first."
+            )
+        self.warnings += [
+            f"The camera of {photo.name} does not see the surface and was left as it is; "
+            "align it and refine again."
+            for photo, row in zip(self.given_photos, seen, strict=True)
+            if not row.any()
+        ]
+        either, shared = seen.any(axis=0).sum(), (seen.sum(axis=0) >= 2).sum()
+        if shared < MIN_OVERLAP * either:
+            self.warnings.append(
+                "The photos hardly overlap on the surface: of what they see, "
+                f"{100 * shared / either:.0f} % is seen twice. The answer rests on "
+                "little."
+            )
+
+    def _all(self, cameras: Sequence[Camera]) -> tuple[Camera, ...]:
+        """One camera a photo given: those left out stay where they were."""
+        complete = list(self.given)
+        for i, camera in zip(self.active, cameras, strict=True):
+            complete[i] = camera
+        return tuple(complete)
+
     def _hide(self, consistency: PhotoConsistency, cameras: Sequence[Camera]) -> None:
         """Takes away the votes of what cannot be seen from ``cameras``."""
         method = self.config.occlusion
@@ -135,7 +189,10 @@ class _Run:
         share = SEARCH_SHARE if config.polish_after else 1.0
         last: Generation | None = None
         for last in evolve(
-            lambda genes: consistency.costs(genes, gene_map),
+            lambda genes: (
+                consistency.costs(genes, gene_map)
+                * (1.0 + config.pull * np.mean(genes**2, axis=1))
+            ),
             lambda n, rng: gene_map.first_population(
                 n, rng, config.tie_focal_to_distance
             ),
@@ -157,6 +214,9 @@ class _Run:
             if last.stop is not None and last.restart + 1 < settings.restarts:
                 self._hide(consistency, self.best)
         assert last is not None
+        start_cost = consistency.cost(self.start)
+        if config.polish_after and not last.best_cost < USEFUL_SEARCH * start_cost:
+            self.best = self.start
         if last.stop == "cost level":
             self.reason = (
                 f"The cost fell to the level asked for ({last.best_cost:.4g})."
@@ -175,6 +235,7 @@ class _Run:
             self.start,
             self.config.polish,
             self.config.seed,
+            self.config.box.rotation_deg / OBJECT_BOX.rotation_deg,
         ):
             self.best = step.cameras
             steps = steps + 1 if step.level == level else 0
@@ -191,13 +252,15 @@ class _Run:
         self.reason = "The polish is done."
 
     def _finished(self, consistency: PhotoConsistency, gene_map: GeneMap) -> Finished:
+        if self.config.polish_after:
+            consistency = self._judge()
         start_cost, cost = consistency.cost(self.start), consistency.cost(self.best)
         if not cost <= start_cost:
             self.best, cost = self.start, start_cost
             self.reason = "Nothing better than the start was found."
         self.warnings += border_warnings(gene_map, self.best)
         return Finished(
-            self.best,
+            self._all(self.best),
             start_cost,
             cost,
             self.reason,
@@ -207,6 +270,18 @@ class _Run:
             self.evaluations,
             self.seconds,
         )
+
+    def _judge(self) -> PhotoConsistency:
+        """Compares start and answer on the points that both see, by their patterns."""
+        samples = shared_samples(self.mesh, self.start, self.config)
+        allowed = np.logical_and(
+            visible(samples, self.start, self.mesh, "rays", 0.0),
+            visible(samples, self.best, self.mesh, "rays", 0.0),
+        )
+        patches = patches_of(self.mesh, samples, self.start, JUDGE)
+        judge = PhotoConsistency(samples, self.photos, JUDGE, allowed, patches)
+        judge.require(self.start)
+        return judge
 
     def _clock(self, phase: Phase) -> None:
         elapsed = time.perf_counter() - self.began
@@ -224,7 +299,7 @@ class _Run:
             best,
             median,
             time.perf_counter() - self.began,
-            self.best,
+            self._all(self.best),
         )
 
 
@@ -252,35 +327,6 @@ def shared_samples(
         rng = np.random.default_rng(config.seed)
         shared = np.sort(rng.choice(shared, config.samples, replace=False))
     return candidates.subset(shared)
-
-
-def view_warnings(
-    mesh: Mesh, photos: Sequence[Photo], cameras: Sequence[Camera]
-) -> list[str]:
-    """Warnings about what the start cameras see.
-
-    Raises:
-        RefinementError: if none of them sees the surface.
-    """
-    seen = visible(sample_surface(mesh, 2000, 0), cameras, mesh, "rays", 0.0)
-    blind = [
-        photo.name for photo, row in zip(photos, seen, strict=True) if not row.any()
-    ]
-    if len(blind) == len(photos):
-        raise RefinementError(
-            "No camera sees the surface from where it stands. Align the cameras first."
-        )
-    warnings = [
-        f"The camera of {name} does not see the surface; align it and refine again."
-        for name in blind
-    ]
-    either, shared = seen.any(axis=0).sum(), (seen.sum(axis=0) >= 2).sum()
-    if shared < MIN_OVERLAP * either:
-        warnings.append(
-            "The photos hardly overlap on the surface: of what they see, "
-            f"{100 * shared / either:.0f} % is seen twice. The answer rests on little."
-        )
-    return warnings
 
 
 def border_warnings(gene_map: GeneMap, cameras: Sequence[Camera]) -> list[str]:
