@@ -120,20 +120,20 @@ def test_to_stop_iterating_is_to_cancel(n_events):
 def test_the_answer_never_costs_more_than_the_start():
     scene = small_scene()
     for cameras in (scene.rough_cameras, scene.cameras):
-        last = run(cameras=cameras)[-1]
+        last = end(cameras=cameras)
         assert last.cost <= last.start_cost, (last.cost, last.start_cost)
 
 
 def test_cost_level_ends_the_search_and_says_so():
     genetic = dataclasses.replace(SEARCH.genetic, stop_cost=1e9)
-    last = run(dataclasses.replace(SEARCH, genetic=genetic))[-1]
+    last = end(dataclasses.replace(SEARCH, genetic=genetic))
     assert last.generations == 0
     assert last.reason.startswith("The cost fell to the level asked for")
 
 
 def test_stagnation_ends_the_search_and_says_so():
     genetic = dataclasses.replace(SEARCH.genetic, stagnation=1, mutation_rate=0.0)
-    last = run(dataclasses.replace(SEARCH, genetic=genetic))[-1]
+    last = end(dataclasses.replace(SEARCH, genetic=genetic))
     assert last.generations < 24
     assert last.reason == "The search stopped improving."
 
@@ -150,7 +150,7 @@ def test_the_papers_variants_can_be_chosen_by_name(model, cost, occlusion):
         consistency=dataclasses.replace(paper.consistency, cost=cost, colour="hsi"),
         genetic=GeneticConfig(population=20, generations=3, restarts=1),
     )
-    last = run(config)[-1]
+    last = end(config)
     assert last.cost < last.start_cost
 
 
@@ -173,7 +173,7 @@ def test_the_paper_preset_is_the_papers():
 
 def test_several_photos_register_together():
     scene = small_scene(n_photos=4)
-    last = run(scene=scene)[-1]
+    last = end(scene=scene)
     assert len(last.cameras) == 4
     assert last.cost < 0.8 * last.start_cost, (last.cost, last.start_cost)
 
@@ -181,7 +181,7 @@ def test_several_photos_register_together():
 def test_a_camera_that_sees_nothing_is_left_and_named():
     scene = small_scene(n_photos=3)
     cameras = [*scene.rough_cameras[:2], turned_away(scene.rough_cameras[2])]
-    last = run(scene=scene, cameras=cameras)[-1]
+    last = end(scene=scene, cameras=cameras)
     assert last.cameras[2] is cameras[2]
     assert not same_cameras(last.cameras[:2], cameras[:2])
     assert any(scene.photos[2].name in warning for warning in last.warnings)
@@ -209,7 +209,7 @@ def test_photos_of_opposite_sides_cannot_be_compared():
 def test_an_answer_on_the_border_of_the_box_is_told():
     box = dataclasses.replace(SEARCH.box, scale=1e-4, shift=1e-4)
     genetic = dataclasses.replace(SEARCH.genetic, mutation_sigma=0.6)
-    last = run(dataclasses.replace(SEARCH, box=box, pull=0.0, genetic=genetic))[-1]
+    last = end(dataclasses.replace(SEARCH, box=box, pull=0.0, genetic=genetic))
     assert any("border of the search box" in warning for warning in last.warnings)
 
 
