@@ -1,7 +1,6 @@
-"""Charts of large meshes by projection along six axes, in seconds.
+"""Charts of a mesh by projection along six axes.
 
-xatlas cuts better charts, but takes minutes for a noisy scan of 200,000 faces. Here
-each face is projected along the axis that its smoothed normal is nearest to; connected
+Each face is projected along the axis that its smoothed normal is nearest to; connected
 faces of one axis are a chart; where a chart would lie on itself, it is split.
 """
 

@@ -4,17 +4,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from photoreg import atlas as atlas_module
 from photoreg.atlas import make_atlas
 from photoreg.charts import face_neighbours
 from photoreg.mesh import Mesh
 from tests.painted import ball_and_moon
-
-
-@pytest.fixture
-def projected(monkeypatch):
-    """Makes small meshes take the way of large ones."""
-    monkeypatch.setattr(atlas_module, "XATLAS_MAX_FACES", 0)
 
 
 def helix() -> Mesh:
@@ -41,19 +34,14 @@ def overlap(atlas) -> float:
 
 
 @pytest.mark.parametrize("shape", [ball_and_moon, helix])
-def test_projected_charts_do_not_lie_on_each_other(projected, shape):
+def test_charts_do_not_lie_on_each_other(shape):
     atlas = make_atlas(shape())
     assert atlas.uv.min() >= 0.0
     assert atlas.uv.max() <= 1.0
     assert abs(overlap(atlas)) < 0.01, overlap(atlas)
 
 
-def test_xatlas_charts_do_not_lie_on_each_other():
-    atlas = make_atlas(ball_and_moon(3))
-    assert abs(overlap(atlas)) < 0.01, overlap(atlas)
-
-
-def test_projected_charts_stretch_no_face_by_much(projected):
+def test_charts_stretch_no_face_by_much():
     mesh = ball_and_moon()
     atlas = make_atlas(mesh)
     density = areas(atlas.uv[atlas.uv_faces]) / mesh.face_areas
@@ -64,18 +52,14 @@ def test_projected_charts_stretch_no_face_by_much(projected):
     assert np.median(density) > 0.6, np.median(density)
 
 
-@pytest.mark.parametrize("limit", [0, 1_000_000])
-def test_coordinates_belong_to_the_vertices_of_their_faces(monkeypatch, limit):
-    monkeypatch.setattr(atlas_module, "XATLAS_MAX_FACES", limit)
+def test_coordinates_belong_to_the_vertices_of_their_faces():
     mesh = ball_and_moon(3)
     atlas = make_atlas(mesh)
     vertex = atlas.uv_vertex[atlas.uv_faces]
     np.testing.assert_array_equal(mesh.vertices[vertex], mesh.vertices[mesh.faces])
 
 
-@pytest.mark.parametrize("limit", [0, 1_000_000])
-def test_a_face_without_area_is_not_drawn_across_the_charts(monkeypatch, limit):
-    monkeypatch.setattr(atlas_module, "XATLAS_MAX_FACES", limit)
+def test_a_face_without_area_is_not_drawn_across_the_charts():
     ball = trimesh.creation.icosphere(subdivisions=3)
     # Slivers between far vertices: all on a line, and twice the same vertex.
     middle = 0.5 * (ball.vertices[0] + ball.vertices[100])
