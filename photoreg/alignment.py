@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from photoreg.agreement import disagreement
 from photoreg.camera import Camera
 from photoreg.errors import InputError, RefinementError
 from photoreg.increments import N_INCREMENTS, Increments, PriorScales
@@ -19,7 +20,7 @@ from photoreg.photometric import (
     prepare_photo,
     surface_view,
 )
-from photoreg.polish import Damping, Prior, Term, minimise
+from photoreg.polish import Damping, Prior, minimise
 from photoreg.silhouette import OUTLINE_SIGMA_PX, RimTerm, find_edges, find_rim
 
 
@@ -88,8 +89,12 @@ class PolishStep:
     """Normal matrix of the cost at x, in the same units."""
     increments: tuple[Increments, ...]
     """What the numbers mean."""
-    terms: tuple = ()
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...]
+    """What the user should know, in sentences."""
+    disagreement: float | None = None
+    """Of the last step only: ``agreement.disagreement`` of these cameras."""
+    start_disagreement: float | None = None
+    """Of the last step only: the same of the cameras it started from. Never lower."""
 
 
 def polish_cameras(
@@ -113,46 +118,47 @@ def polish_cameras(
         box_scale: Factor on the prior's intervals.
 
     Raises:
+        InputError: if photos, cameras and priors are not of one number.
         RefinementError: if a camera does not see the mesh.
+
+    Yields:
+        Every accepted step, each round's first included; the last one holds the answer,
+        which by ``agreement.disagreement`` is never worse than the start.
     """
     config = config or PolishConfig()
+    if not len(photos) == len(cameras) == len(prior_cameras) or len(photos) == 0:
+        raise InputError(
+            "The polish needs one camera and one prior camera a photo, but got "
+            f"{len(photos)} photos, {len(cameras)} cameras, {len(prior_cameras)} priors."
+        )
     scales = PriorScales().scaled(box_scale)
     sizes = [_working_size(photo, config.max_side_px) for photo in photos]
     increments = tuple(
-        Increments(prior, _pivot(mesh, camera, photo.name), scales)
+        Increments(_shaped_as(prior, camera), _pivot(mesh, camera, photo.name), scales)
         for prior, camera, photo in zip(prior_cameras, cameras, photos, strict=True)
     )
-    x = np.concatenate(
+    x_start = np.concatenate(
         [inc.of_camera(c) for inc, c in zip(increments, cameras, strict=True)]
     )
+    prior = Prior(np.zeros_like(x_start), np.eye(len(x_start)))
     n_levels = len(config.blurs_px)
-    prior = Prior(np.zeros_like(x), np.eye(len(x)))
-    done = 0
+    x, done = x_start, 0
+    latest = None
     for level in range(n_levels):
         for turn in range(config.rounds[level]):
-            terms: list[Term] = [
-                prior,
-                *_terms(
-                    mesh,
-                    photos,
-                    increments,
-                    x,
-                    sizes,
-                    level,
-                    config,
-                    seed + 101 * level + turn,
-                ),
-            ]
+            round_seed = seed + 101 * level + turn
+            terms = _terms(
+                mesh, photos, increments, x, sizes, level, config, round_seed
+            )
+            warnings = _missing(terms, photos, config)
             if level + turn > 0:
-                terms = [
-                    term.tempered(x) if isinstance(term, PairTerm | RimTerm) else term
-                    for term in terms
-                ]
+                # In the first round the scores are dominated by the misalignment.
+                terms = [term.tempered(x) for term in terms]
             damping = Damping(max_iterations=config.iterations)
-            for step in minimise(terms, x, damping):
+            for step in minimise([prior, *terms], x, damping):
                 x = step.x
                 done += step.iteration > 0
-                yield PolishStep(
+                latest = PolishStep(
                     level,
                     n_levels,
                     done,
@@ -161,8 +167,66 @@ def polish_cameras(
                     x,
                     step.model.normal,
                     increments,
-                    tuple(terms),
+                    warnings,
                 )
+                yield latest
+    assert latest is not None  # A configuration has at least one level and round.
+    yield _better_end(mesh, photos, cameras, x_start, latest, config)
+
+
+def _better_end(
+    mesh: Mesh,
+    photos: Sequence[Photo],
+    cameras: Sequence[Camera],
+    x_start: np.ndarray,
+    latest: PolishStep,
+    config: PolishConfig,
+) -> PolishStep:
+    """The polished cameras, or those it started from where they fit better."""
+    before = disagreement(mesh, photos, cameras, config.min_cosine)
+    after = disagreement(mesh, photos, latest.cameras, config.min_cosine)
+    if after <= before:
+        return dataclasses.replace(
+            latest, disagreement=after, start_disagreement=before
+        )
+    return dataclasses.replace(
+        latest,
+        cameras=tuple(cameras),
+        x=x_start,
+        disagreement=before,
+        start_disagreement=before,
+        warnings=(
+            *latest.warnings,
+            "The polish found nothing better; the cameras are as they came.",
+        ),
+    )
+
+
+def _missing(
+    terms: Sequence[PairTerm | RimTerm], photos: Sequence[Photo], config: PolishConfig
+) -> tuple[str, ...]:
+    """What the terms lack, in sentences."""
+    warnings = []
+    compared = {i for term in terms if isinstance(term, PairTerm) for i in term.pair}
+    drawn = {term.photo for term in terms if isinstance(term, RimTerm)}
+    for i, photo in enumerate(photos):
+        if config.use_colour and i not in compared and len(photos) > 1:
+            warnings.append(
+                f"{photo.name} shares too little visible surface with the other photos: "
+                "its colours were not compared."
+            )
+        if config.use_silhouette and i not in drawn:
+            warnings.append(
+                f"{photo.name} shows no outline of the mesh that could be used."
+            )
+    return tuple(warnings)
+
+
+def _shaped_as(prior: Camera, camera: Camera) -> Camera:
+    """``prior`` with the ratio of focal lengths and the skew of ``camera``."""
+    K = prior.K.copy()
+    K[:2, :2] = camera.K[:2, :2] * (prior.focal_px / camera.focal_px)
+    return dataclasses.replace(prior, K=K)
 
 
 def _cameras(increments: Sequence[Increments], x: np.ndarray) -> list[Camera]:
@@ -201,7 +265,7 @@ def _terms(
     level: int,
     config: PolishConfig,
     seed: int,
-) -> list[Term]:
+) -> list[PairTerm | RimTerm]:
     blur, n_points = config.blurs_px[level], config.points[level]
     views: list[SurfaceView] = []
     images: list[np.ndarray] = []
@@ -217,7 +281,7 @@ def _terms(
         blurs.append(sigma / reduction)
         images.append(prepare_photo(photo, view, blurs[-1]))
     pairs = [(i, k) for k in range(len(photos)) for i in range(k)]
-    terms: list[Term] = []
+    terms: list[PairTerm | RimTerm] = []
     if config.use_silhouette:
         for i, (photo, view) in enumerate(zip(photos, views, strict=True)):
             scale = view.camera.width / 1024.0

@@ -231,6 +231,18 @@ def rim_rows(geometry, points):
     return pixels, rows
 
 
+@nb.njit(cache=True, nogil=True)
+def colours_at(photo, pixels):
+    """Colours (n, 3) of a photo at pixels (n, 2)."""
+    out = np.zeros((len(pixels), CHANNELS))
+    colour = np.zeros((CHANNELS, 3))
+    for i in range(len(pixels)):
+        sample_cubic(photo, pixels[i, 0], pixels[i, 1], colour)
+        for k in range(CHANNELS):
+            out[i, k] = colour[k, 0]
+    return out
+
+
 @nb.njit(parallel=True, cache=True, nogil=True)
 def pair_values(points, photo_a, photo_b, geometry_a, geometry_b):
     """Colours (n, 2, 3) of points in both photos; NaN behind a camera."""

@@ -19,6 +19,8 @@ N_CHUNKS = 32
 """Chunks of cells summed apart and then in order: the sum does not depend on threads."""
 CUT = 2.0
 """Scale of the Cauchy cost in residual sigmas."""
+BLOCK_SIDES = (1, 2, 4)
+"""Sides, in cells, of the blocks over which errors may be alike."""
 MIN_SIGMA = 0.5
 """Least residual scale, in grey levels of 255: the rounding of bytes is 0.3."""
 
@@ -52,6 +54,13 @@ class PairPoints:
     normals: Float[np.ndarray, "n 3"]
     weights: Float[np.ndarray, "n"]
     cell_starts: Int[np.ndarray, "cells+1"]
+    cells: Int[np.ndarray, "cells 2"]
+    """Column and row of each cell."""
+
+    def blocks(self, side: int) -> Int[np.ndarray, "cells"]:
+        """The block of side x side cells that each cell is in."""
+        column, row = (self.cells // side).T
+        return row * 100_003 + column
 
     @property
     def chunk_starts(self) -> Int[np.ndarray, "chunks+1"]:
@@ -143,9 +152,7 @@ def pair_points(
     inner = cv2.distanceTransform(view.covered.astype(np.uint8), cv2.DIST_L2, 3)
     window = np.flatnonzero((view.covered & (inner > margin_px)).ravel())
     if len(window) == 0:
-        return PairPoints(
-            np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(1, dtype=np.int64)
-        )
+        window = np.zeros(1, dtype=np.int64)
     # Evenly spaced through the row-wise list, jittered: about even over the photo.
     n = min(n_points * 2, 4 * len(window))
     chosen = window[
@@ -190,13 +197,14 @@ def pair_points(
     key = cell[:, 1] * 100_003 + cell[:, 0]
     order = np.argsort(key, kind="stable")
     index, key = index[order], key[order]
-    starts = np.flatnonzero(np.concatenate([[True], key[1:] != key[:-1]]))
-    starts = np.concatenate([starts, [len(key)]]) if len(key) else np.zeros(1)
+    first = np.flatnonzero(np.concatenate([[True], key[1:] != key[:-1]])[: len(key)])
+    starts = np.append(first, len(key))
     return PairPoints(
         np.ascontiguousarray(points[index]),
         _smooth_normals(normals[index], starts),
         np.ones(len(index)),
         starts.astype(np.int64),
+        cell[order][first],
     )
 
 
@@ -274,10 +282,12 @@ class PairTerm:
     def tempered(self, x: Float[np.ndarray, "p"]) -> "PairTerm":
         """The term with each channel weighted by what it knows at ``x``."""
         _, gradients, normals = self._sums(x, derivatives=True)
+        groups = [self.surface.blocks(side) for side in BLOCK_SIDES]
         ratios = [
             overdispersion(
                 self.weight[k] * gradients[:, k],
                 self.weight[k] * normals[:, k].sum(axis=0),
+                groups,
             )
             for k in range(len(self.weight))
         ]

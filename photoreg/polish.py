@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from typing import Protocol
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -141,14 +141,25 @@ def minimise(
             return
 
 
+MIN_GROUPS = 20
+"""Fewer groups than this say too little about their own spread."""
+
+
 def overdispersion(
-    scores: Float[np.ndarray, "cells p"], normal: Float[np.ndarray, "p p"]
+    scores: Float[np.ndarray, "cells p"],
+    normal: Float[np.ndarray, "p p"],
+    groupings: Sequence[Int[np.ndarray, "cells"]],
 ) -> float:
     """How much less the data knows than its normal matrix says, at least 1.
 
-    Were all residuals independent, the gradient's spread over cells would add up to
-    the normal matrix. Errors that neighbours share (of the mesh, of the light) make it
-    larger; dividing the term's weight by the ratio restores the balance.
+    Were all residuals independent, the gradient's spread over groups of residuals would
+    add up to the normal matrix. Errors that neighbours share (of the mesh, of the
+    light) make it larger; dividing the term's weight by the ratio restores the balance.
+
+    Args:
+        scores: The gradient's part of each cell.
+        normal: The term's normal matrix.
+        groupings: Group of each cell; the grouping with the largest ratio counts.
 
     References:
         The sandwich estimator over clusters: K.-Y. Liang and S. Zeger, "Longitudinal
@@ -156,7 +167,14 @@ def overdispersion(
     """
     values, vectors = np.linalg.eigh(normal)
     known = values > 1e-9 * values.max(initial=1e-300)
-    if not known.any() or len(scores) < 2:
-        return 1.0
-    along = (scores - scores.mean(axis=0)) @ vectors[:, known]
-    return max(1.0, float(np.mean((along**2).sum(axis=0) / values[known])))
+    ratio = 1.0
+    for grouping in groupings:
+        _, index = np.unique(grouping, return_inverse=True)
+        n = int(index.max(initial=-1)) + 1
+        if not known.any() or n < MIN_GROUPS:
+            continue
+        sums = np.zeros((n, scores.shape[1]))
+        np.add.at(sums, index, scores)
+        along = (sums - sums.mean(axis=0)) @ vectors[:, known]
+        ratio = max(ratio, float(np.mean((along**2).sum(axis=0) / values[known])))
+    return ratio

@@ -30,6 +30,8 @@ MIN_SIGMA_PX = 0.1
 """Least residual scale, in pixels: edges are not found better than this."""
 SEGMENT_POINTS = 12
 """Rim points in a row that share an offset: an edge is wrong over a stretch."""
+BLOCK_LENGTHS = (1, 2, 4)
+"""Lengths, in segments, of the stretches over which errors may be alike."""
 OUTLINE_SIGMA_PX = 0.5
 """Spread of the offset that a whole outline has: scans come out fat or thin."""
 BISECTIONS = 7
@@ -61,7 +63,10 @@ def find_rim(mesh: Mesh, view: SurfaceView, n_points: int) -> Rim:
     total = sum(len(chain) for chain in chains)
     stride = max(1.0, total / n_points)
     pixels = np.concatenate(
-        [chain[np.arange(0, len(chain), stride).astype(int)] for chain in chains]
+        [
+            chain[(np.arange(int(len(chain) / stride)) * stride).astype(int)]
+            for chain in chains
+        ]
     ).astype(np.float64)
     smooth = cv2.GaussianBlur(covered.astype(np.float32), (0, 0), 1.5)
     columns, rows = pixels.astype(int).T
@@ -342,7 +347,12 @@ class RimTerm:
         J = -np.einsum("nd,ndp->np", self.rim.normals, rows) / self.sigma
         parts = np.add.reduceat((weights * error)[:, None] * J, self.cell_starts[:-1])
         own = slice(self.photo * N_INCREMENTS, (self.photo + 1) * N_INCREMENTS)
-        ratio = overdispersion(parts, self.linearise(x).normal[own, own])
+        index = np.arange(len(parts))
+        ratio = overdispersion(
+            parts,
+            self.linearise(x).normal[own, own],
+            [index // length for length in BLOCK_LENGTHS],
+        )
         return dataclasses.replace(self, weight=self.weight / ratio)
 
     def _residuals(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
