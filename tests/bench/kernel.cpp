@@ -22,6 +22,7 @@ using Out = float* __restrict;
 constexpr int kBuckets = 2048;
 constexpr int kShift = 20;
 constexpr double kMaxGain = 2.0;
+constexpr double kLeastSpread = 1e-3;
 
 struct Problem {
     const float* points;        // (7, n): x, y, z, normal x, y, z, normal . position
@@ -36,6 +37,7 @@ struct Problem {
     double low_share;
     double high_share;
     bool with_exposure;
+    double reference_spread;    // above 0 only with exposure
     int64_t min_samples;
     double* costs;              // (p,)
     int64_t* kept;              // (p,)
@@ -118,8 +120,8 @@ double clipped_gain(double wanted, double own) {
     return std::min(std::max(std::sqrt(wanted / own), 1.0 / kMaxGain), kMaxGain);
 }
 
-void pair_exposure(In a, In b, int64_t n, float gains[2][4],
-                   float offsets[2][4]) {
+double pair_exposure(In a, In b, int64_t n, float gains[2][4], float offsets[2][4]) {
+    double total = 0.0;
     for (int c = 0; c < 3; ++c) {
         double sum_a = 0, sum_b = 0, square_a = 0, square_b = 0;
         for (int64_t k = 0; k < n; ++k) {
@@ -133,6 +135,7 @@ void pair_exposure(In a, In b, int64_t n, float gains[2][4],
         const double spread_a = std::max(square_a / n - mean_a * mean_a, 0.0);
         const double spread_b = std::max(square_b / n - mean_b * mean_b, 0.0);
         const double common = 0.5 * (spread_a + spread_b);
+        total += common;
         const double mean = 0.5 * (mean_a + mean_b);
         const double gain_a = clipped_gain(common, spread_a);
         const double gain_b = clipped_gain(common, spread_b);
@@ -141,6 +144,7 @@ void pair_exposure(In a, In b, int64_t n, float gains[2][4],
         offsets[0][c] = float(mean - gain_a * mean_a);
         offsets[1][c] = float(mean - gain_b * mean_b);
     }
+    return total;
 }
 
 void differences(In a, In b, int64_t n, const float gains[2][4],
@@ -228,12 +232,17 @@ void work(const Problem& problem, int64_t first, int64_t step) {
         if (n_seen < problem.min_samples) continue;
         In a = scratch.colours.data();
         In b = a + 4 * n;
-        if (problem.with_exposure) pair_exposure(a, b, n_seen, gains, offsets);
+        double spread = 0.0;
+        if (problem.with_exposure) spread = pair_exposure(a, b, n_seen, gains, offsets);
         differences(a, b, n_seen, gains, offsets, scratch.values.data());
         problem.costs[i] = trimmed_mean(
             scratch.values.data(), n_seen, int64_t(problem.low_share * n_seen),
             int64_t(problem.high_share * n_seen), scratch.counts.data(),
             scratch.border.data());
+        if (problem.reference_spread > 0.0)
+            problem.costs[i] *=
+                problem.reference_spread /
+                std::max(spread, kLeastSpread * problem.reference_spread);
     }
 }
 
@@ -244,7 +253,8 @@ extern "C" void population_costs(const float* points, const float* projections,
                                  const float* pixels, const int64_t* layouts, int64_t n,
                                  int64_t n_individuals, double min_cosine,
                                  double low_share, double high_share,
-                                 int with_exposure, int64_t min_samples,
+                                 int with_exposure, double reference_spread,
+                                 int64_t min_samples,
                                  int64_t n_threads, double* costs, int64_t* kept) {
     const Problem problem{points,
                           projections,
@@ -258,6 +268,7 @@ extern "C" void population_costs(const float* points, const float* projections,
                           low_share,
                           high_share,
                           with_exposure != 0,
+                          reference_spread,
                           min_samples,
                           costs,
                           kept};

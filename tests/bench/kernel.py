@@ -52,7 +52,7 @@ def _compared(
     for threads in (1, 2) if n_threads >= 2 else (1,):
         nb.set_num_threads(threads)
         own, own_times[threads], other, plain_times[threads] = _raced(
-            lambda: population_costs(**arguments),
+            lambda: population_costs(**arguments)[:2],
             lambda threads=threads: plain(arguments, threads),
         )
         if threads == 1:
@@ -128,12 +128,14 @@ def _arguments(with_exposure: bool) -> dict[str, Any]:
     caught: dict[str, Any] = {}
     signature = inspect.signature(population_costs.py_func)
 
-    def catch(*args: Any) -> Costs:
+    def catch(*args: Any) -> tuple[np.ndarray, ...]:
         caught.update(signature.bind(*args).arguments)
         return population_costs(*args)
 
     with mock.patch.object(consistency, "population_costs", catch):
         cost.costs(genes, gene_map)
+    # Only with exposure is the spread of the colours known.
+    caught["reference_spread"] = 500.0 if with_exposure else 0.0
     return caught
 
 
@@ -162,6 +164,7 @@ def _built(folder: Path) -> Callable[[dict[str, Any], int], Costs]:
             ctypes.c_double(arguments["low_share"]),
             ctypes.c_double(arguments["high_share"]),
             ctypes.c_int(arguments["with_exposure"]),
+            ctypes.c_double(arguments["reference_spread"]),
             ctypes.c_int64(arguments["min_samples"]),
             ctypes.c_int64(n_threads),
             costs.ctypes.data_as(ctypes.c_void_p),

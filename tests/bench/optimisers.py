@@ -5,22 +5,24 @@ pre-registration), works in the same box of genes and has the same budget. The
 libraries come with the optional extra ``bench``; one that is not installed is left out.
 """
 
+import contextlib
 import dataclasses
 import importlib
 import importlib.util
 import time
 import warnings
 from collections.abc import Callable, Iterator
+from typing import Any
+from unittest import mock
 
 import numpy as np
 from scipy.optimize import differential_evolution
 
-from photoreg.consistency import PhotoConsistency
+from photoreg import registration
 from photoreg.evaluate import projection_error
 from photoreg.genes import GeneMap
 from photoreg.genetic import GeneticConfig, evolve
-from photoreg.registration import RegistrationConfig
-from photoreg.sampling import sample_surface
+from photoreg.registration import RegistrationConfig, refine
 from tests.bench.metrics import Metric, Setting, bench
 from tests.bench.worlds import World, worlds
 
@@ -34,7 +36,7 @@ POPULATION = 200
 class Problem:
     """A cost over [-1, 1]^g that counts and times its evaluations."""
 
-    cost: PhotoConsistency
+    search_costs: Callable[[np.ndarray], np.ndarray]
     gene_map: GeneMap
     first: np.ndarray
     """The first population, the pre-registration in it."""
@@ -49,7 +51,7 @@ class Problem:
         allowed = max(0, min(len(genes), BUDGET - self.evaluations))
         if allowed:
             inside = np.clip(genes[:allowed], -1.0, 1.0)
-            values[:allowed] = self.cost.costs(inside, self.gene_map)
+            values[:allowed] = self.search_costs(inside)
             self.evaluations += allowed
             leader = int(np.argmin(values))
             if values[leader] < self.best_cost:
@@ -220,8 +222,6 @@ def optimisers(setting: Setting) -> Iterator[Metric]:
 def _end(world: World, optimiser: Optimiser) -> tuple[float, float, float]:
     """Final cost, projection error in pixels and seconds."""
     config = RegistrationConfig.preset("default", seed=world.seed)
-    samples = sample_surface(world.mesh, 2 * config.samples, world.seed)
-    cost = PhotoConsistency(samples, world.photos, config.consistency)
     gene_map = GeneMap(
         world.rough_cameras,
         world.mesh.centroid,
@@ -229,10 +229,9 @@ def _end(world: World, optimiser: Optimiser) -> tuple[float, float, float]:
         config.camera_model,
         config.coordinates,
     )
-    cost.require(world.rough_cameras)
     first = gene_map.first_population(POPULATION, np.random.default_rng(world.seed))
     first[0] = 0.0
-    problem = Problem(cost, gene_map, first, world.seed)
+    problem = Problem(_search_costs(world, config), gene_map, first, world.seed)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         began = time.perf_counter()
@@ -243,3 +242,26 @@ def _end(world: World, optimiser: Optimiser) -> tuple[float, float, float]:
     cameras = gene_map.to_cameras(problem.best_genes)
     error_px = projection_error(world.true_mesh, world.cameras, cameras).mean
     return problem.best_cost, error_px, seconds
+
+
+class _CaughtError(Exception):
+    """Ends a refinement whose search has been caught."""
+
+
+def _search_costs(
+    world: World, config: RegistrationConfig
+) -> Callable[[np.ndarray], np.ndarray]:
+    """The very function that a refinement's search minimises."""
+    caught: list[Callable[[np.ndarray], np.ndarray]] = []
+
+    def catch(costs: Callable[[np.ndarray], np.ndarray], *_: Any, **__: Any) -> None:
+        caught.append(costs)
+        raise _CaughtError
+
+    with (
+        mock.patch.object(registration, "evolve", catch),
+        contextlib.suppress(_CaughtError),
+    ):
+        for _ in refine(world.mesh, world.photos, world.rough_cameras, config):
+            pass
+    return caught[0]

@@ -47,6 +47,7 @@ def main(task: dict[str, Any]) -> dict[str, Any]:
     outcome = _refined(scene)
     return {
         "elapsed_s": outcome.elapsed_s,
+        "cpu_s": outcome.cpu_s,
         "start_px": outcome.start_px,
         "end_px": outcome.end_px,
         "phases": {

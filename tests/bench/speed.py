@@ -135,7 +135,8 @@ def large(setting: Setting) -> Iterator[Metric]:
         "large.error",
         [a["end_px"] for a in answers],
         "px of 6000",
-        note=f"start {answers[0]['start_px']:.0f} px; phases {answers[0]['phases']}",
+        note=f"start {answers[0]['start_px']:.0f} px; {answers[0]['n_faces']:,} faces; "
+        f"processor {answers[0]['cpu_s']:.1f} s; {answers[0]['phases']}",
     )
 
 
