@@ -4,7 +4,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from photoreg.alignment import polish_cameras
 from photoreg.camera import Camera
+from photoreg.evaluate import projection_error
 from photoreg.formats.cameras_json import load_cameras
 from photoreg.mesh import MESH_SUFFIXES, Mesh, load_mesh
 from photoreg.photo import Photo, load_photo
@@ -186,7 +188,8 @@ def _one_pair(
         for path in starts[: setting.n]
     ]
     mesh, photos, true, _ = load_set(folder, starts[0], folder / "photos")
-    moved = run(mesh, photos, true, true, config).end_px
+    *_, polished = polish_cameras(mesh, photos, true, true, config.polish)
+    moved = projection_error(mesh, true, polished.cameras).mean
     bar = SET_BARS.get(folder.name, moved + 0.5)
     yield from error_figures(name, outcomes, bar)
     yield Metric(f"{name}.own_cameras_move", moved, "px", "lower")
