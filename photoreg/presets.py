@@ -21,7 +21,7 @@ OBJECT_BOX = GeneBox(
 """Holds starts up to about 40 px off at 1,024 px width, whatever combination of focal
 length, principal point, turn and place is wrong."""
 
-REDUCED_PHOTOS = ConsistencyConfig(max_side_px=512, blur_px=1.5, relative=True)
+REDUCED_PHOTOS = ConsistencyConfig(max_side_px=512, blur_px=1.5)
 """Photos reduced and blurred: the search only has to find the basin of the polish."""
 
 JUDGE = ConsistencyConfig(

@@ -1,7 +1,7 @@
 """The whole refinement: prepare, search, polish, and the events that tell of it."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 
 import numpy as np
 
@@ -43,7 +43,7 @@ def refine(
     photos: Sequence[Photo],
     cameras: Sequence[Camera],
     config: RegistrationConfig | None = None,
-) -> Iterator[Event]:
+) -> Generator[Event, None, None]:
     """Refines rough cameras until the photos agree over the surface.
 
     Stop iterating to cancel: every event holds the best cameras so far. The last
@@ -97,7 +97,7 @@ class _Run:
         self.warnings: list[str] = []
         self.reason = ""
 
-    def events(self) -> Iterator[Event]:
+    def events(self) -> Generator[Event, None, None]:
         yield self._progress("prepare", "getting ready", 0.0, np.inf, np.inf)
         mesh, config = self.mesh, self.config
         self._leave_out_the_blind()
