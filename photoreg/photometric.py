@@ -12,7 +12,7 @@ from photoreg.increments import N_INCREMENTS, Increments
 from photoreg.kernels_polish import pair_normal_equations, pair_values, pixel_rays
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
-from photoreg.polish import Quadratic, overdispersion
+from photoreg.polish import Quadratic, overdispersion, own_step
 from photoreg.raster import render_geometry
 
 N_CHUNKS = 32
@@ -281,7 +281,9 @@ class PairTerm:
 
     def tempered(self, x: Float[np.ndarray, "p"]) -> "PairTerm":
         """The term with each channel weighted by what it knows at ``x``."""
-        _, gradients, normals = self._sums(x, derivatives=True)
+        _, gradients, normals = self._sums(
+            x + own_step(self.linearise(x)), derivatives=True
+        )
         groups = [self.surface.blocks(side) for side in BLOCK_SIDES]
         ratios = [
             overdispersion(

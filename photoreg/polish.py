@@ -141,6 +141,15 @@ def minimise(
             return
 
 
+def own_step(model: Quadratic) -> Float[np.ndarray, "p"]:
+    """Where one term alone would go, held by one unit of every parameter.
+
+    A term's noise is measured there: where terms pull against each other, the pull
+    would else pass for noise, and the term that gives way would give way for ever.
+    """
+    return -np.linalg.solve(model.normal + np.eye(len(model.gradient)), model.gradient)
+
+
 MIN_GROUPS = 20
 """Fewer groups than this say too little about their own spread."""
 

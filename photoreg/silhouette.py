@@ -22,7 +22,7 @@ from photoreg.kernels_polish import rim_rows
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.photometric import SurfaceView, camera_rays, cell_means
-from photoreg.polish import Quadratic, overdispersion
+from photoreg.polish import Quadratic, overdispersion, own_step
 
 CUT = 2.0
 """Scale of the Cauchy cost in residual sigmas."""
@@ -342,6 +342,7 @@ class RimTerm:
 
     def tempered(self, x: Float[np.ndarray, "p"]) -> "RimTerm":
         """The term weighted by what its segments know at ``x``."""
+        x = x + own_step(self.linearise(x))
         residual, rows = self._residuals(x)
         weights, error, _ = self._offsets(residual)
         J = -np.einsum("nd,ndp->np", self.rim.normals, rows) / self.sigma
