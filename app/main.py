@@ -1,6 +1,5 @@
 """Starts the app and keeps it running until Ctrl-C."""
 
-import contextlib
 import logging
 import os
 import signal
@@ -84,12 +83,12 @@ def has_browser() -> bool:
 
 def _wait_for_the_end() -> None:
     ended = threading.Event()
-    with contextlib.suppress(ValueError):  # Only the main thread may set this.
-        signal.signal(signal.SIGTERM, lambda *_: ended.set())
-    with contextlib.suppress(KeyboardInterrupt):
-        # In steps: on Windows a wait without end is deaf to Ctrl-C.
-        while not ended.wait(0.5):
-            pass
+    for number in (signal.SIGINT, signal.SIGTERM):
+        # Said explicitly: a shell starts background programs deaf to Ctrl-C.
+        signal.signal(number, lambda *_: ended.set())
+    # In steps: on Windows a wait without end is not interrupted.
+    while not ended.wait(0.5):
+        pass
 
 
 def _say(text: str) -> None:

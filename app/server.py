@@ -86,7 +86,8 @@ class Page:
         self._closed = True
         self._wake.set()
         self._painter.join(timeout=5.0)
-        self.server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server.stop()
 
     def _build(self) -> None:
         gui = self.server.gui

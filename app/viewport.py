@@ -36,8 +36,8 @@ BACKDROP = (38, 41, 48)
 MAX_BACKGROUND_PX = 1600
 FIT = 0.97
 
-HOME_AZIMUTHS_DEG = (-78.0, -60.0, -44.0, 44.0, 60.0, 78.0)
-HOME_ELEVATIONS_DEG = (12.0, 20.0, 28.0)
+HOME_AZIMUTHS_DEG = (-78.0, -60.0, -44.0, -32.0, -24.0, 24.0, 32.0, 44.0, 60.0, 78.0)
+HOME_ELEVATIONS_DEG = (12.0, 20.0, 28.0, 36.0)
 HOME_SHARE = 0.9
 
 Mode = Literal["free", "move", "inspect"]
@@ -333,30 +333,37 @@ def home_view(
             level = np.cos(azimuth) * toward + np.sin(azimuth) * aside
             direction = np.cos(elevation) * level + np.sin(elevation) * up
             views.append(_fitting_view(np.array(cloud), direction, up, aspect))
-    distance, direction, target = min(
-        views, key=lambda view: float(np.linalg.norm(view[2] + view[0] * view[1]))
-    )
-    return target + distance * direction, target
+    _, position, target = min(views, key=lambda view: view[0])
+    return position, target
 
 
 def _fitting_view(
     cloud: np.ndarray, direction: np.ndarray, up: np.ndarray, aspect: float
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """Distance, direction and target that just hold all points, centred."""
+    """A view that just holds all points, centred: its badness, position and target.
+
+    Badness is the distance from the object, whose box is the first 8 points, and half
+    as much again where a camera stands before it.
+    """
     right = np.cross(up, direction)
     right /= np.linalg.norm(right)
     above = np.cross(direction, right)
     tan_y = HOME_SHARE * np.tan(0.5 * FREE_FOV)
     tan_x = tan_y * aspect
-    target, distance = cloud.mean(axis=0), 1.0
+    target, distance, x, y = cloud.mean(axis=0), 1.0, cloud[:, 0], cloud[:, 1]
     # In turn: the distance that fits, then the target amid what is seen from there.
     for _ in range(8):
         x, y, z = np.stack([right, above, direction]) @ (cloud - target).T
         distance = float(
             max((np.abs(x) / tan_x + z).max(), (np.abs(y) / tan_y + z).max())
         )
-        px, py = x / (distance - z), y / (distance - z)
+        x, y = x / (distance - z), y / (distance - z)
         target = target + 0.5 * distance * (
-            (px.max() + px.min()) * right + (py.max() + py.min()) * above
+            (x.max() + x.min()) * right + (y.max() + y.min()) * above
         )
-    return distance, direction, target
+    within = (
+        np.abs(x[8:] - np.mean([x[:8].min(), x[:8].max()])) < 0.5 * np.ptp(x[:8])
+    ) & (np.abs(y[8:] - np.mean([y[:8].min(), y[:8].max()])) < 0.5 * np.ptp(y[:8]))
+    position = target + distance * direction
+    badness = float(np.linalg.norm(position)) * (1.5 if within.any() else 1.0)
+    return badness, position, target

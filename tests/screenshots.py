@@ -1,0 +1,81 @@
+"""Takes the README's pictures from the running app: `make screenshots`.
+
+Drives the demo in Chromium as a person would and writes docs/*.png.
+"""
+
+import sys
+from pathlib import Path
+
+from playwright.sync_api import sync_playwright
+
+from app.conductor import Conductor
+from app.opening import demo_folder, open_folder
+from app.server import Page
+from app.session import Session
+from app.state import State
+from tests.browser.driver import Driver, launch, wait_until
+
+FOLDER = Path(__file__).parents[1] / "docs"
+
+
+def main() -> int:
+    """Writes the pictures; returns the exit status."""
+    FOLDER.mkdir(exist_ok=True)
+    session = Session(State(document=open_folder(demo_folder())))
+    conductor = Conductor(session)
+    page = Page(session, conductor, port=0)
+    try:
+        with sync_playwright() as playwright:
+            browser = launch(playwright)
+            window = browser.new_page(viewport={"width": 1280, "height": 800})
+            take_all(session, Driver(window, f"http://127.0.0.1:{page.port}"))
+            browser.close()
+    finally:
+        page.close()
+        conductor.close()
+    return 0
+
+
+def take_all(session: Session, driver: Driver) -> None:
+    """The whole way, with a picture of each tab and of the running refinement."""
+    driver.dismiss_toasts()
+    wait_until(lambda: not session.state.worker, "the engine is warm", 300)
+    wait_until(lambda: session.state.run.error_px is not None, "the overlay is drawn")
+    picture(driver, "1-data")
+    driver.tab("2 Align")
+    driver.click("Look through")
+    driver.frames(20)
+    picture(driver, "2-align")
+    driver.click("Free view")
+    driver.frames(10)
+    driver.tab("3 Refine")
+    driver.click("Refine")
+    wait_until(
+        lambda: (
+            session.state.run.phase == "polish" and session.state.run.fraction > 0.4
+        ),
+        "the polish is under way",
+        300,
+    )
+    # At once, without waiting for frames: the run goes on meanwhile.
+    picture(driver, "3-refine", settle=False)
+    wait_until(lambda: session.state.run.status == "review", "the run ends", 300)
+    picture(driver, "app")
+    driver.click("Accept")
+    driver.tab("4 Export")
+    driver.click("Make the texture")
+    wait_until(lambda: session.state.texture is not None, "the texture is made", 300)
+    driver.frames(10)
+    picture(driver, "4-export")
+
+
+def picture(driver: Driver, name: str, settle: bool = True) -> None:
+    """Writes what is on screen."""
+    if settle:
+        driver.frames(6)
+    driver.page.screenshot(path=FOLDER / f"{name}.png")
+    print(f"docs/{name}.png")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
