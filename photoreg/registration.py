@@ -228,6 +228,7 @@ class _Run:
 
     def _polish(self) -> Iterator[Progress]:
         level, steps = -1, 0
+        doubts: tuple[str, ...] = ()
         for step in polish_cameras(
             self.mesh,
             self.photos,
@@ -237,7 +238,7 @@ class _Run:
             self.config.seed,
             self.config.box.rotation_deg / OBJECT_BOX.rotation_deg,
         ):
-            self.best = step.cameras
+            self.best, doubts = step.cameras, step.warnings
             steps = steps + 1 if step.level == level else 0
             level = step.level
             within = 1.0 - 1.0 / (1.0 + 0.2 * steps)
@@ -249,6 +250,7 @@ class _Run:
                 step.cost,
                 step.cost,
             )
+        self.warnings += doubts
         self.reason = "The polish is done."
 
     def _finished(self, consistency: PhotoConsistency, gene_map: GeneMap) -> Finished:
