@@ -5,7 +5,6 @@ parallel kernels, and viser calls back from 32 threads; so files are read, camer
 refined and textures baked in one spawned process, and the page stays quick.
 """
 
-import contextlib
 import dataclasses
 import logging
 import multiprocessing
@@ -61,14 +60,12 @@ class Worker:
                 return
             self._closed = True
             self._jobs.put(None)
-            process, connection = self._process, self._connection
+            process = self._process
         process.terminate()
         process.join(timeout=5.0)
         if process.is_alive():
             process.kill()
             process.join()
-        with contextlib.suppress(OSError):
-            connection.close()
 
     def _start(self) -> None:
         ours, theirs = self._context.Pipe()
@@ -79,7 +76,7 @@ class Worker:
         # Only while the child alone holds its end does its death end the pipe.
         theirs.close()
         jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
-        self._process, self._connection, self._jobs = process, ours, jobs
+        self._process, self._jobs = process, jobs
         threading.Thread(
             target=self._send_jobs, args=(ours, jobs), daemon=True, name="worker jobs"
         ).start()
@@ -94,8 +91,8 @@ class Worker:
         while (job := jobs.get()) is not None:
             try:
                 connection.send(job)
-            except (OSError, ValueError):
-                return
+            except (OSError, ValueError, TypeError):
+                return  # Closed by the pump, perhaps in the midst of it.
 
     def _pump_events(self, connection: Connection) -> None:
         while True:
@@ -104,6 +101,8 @@ class Worker:
                 while connection.poll(0):
                     events.append(connection.recv())
             except (EOFError, OSError):
+                # Only this thread closes it: it would not survive another's doing so.
+                connection.close()
                 break
             self._deaths_in_a_row = 0
             for event in newest(events):
