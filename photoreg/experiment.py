@@ -80,7 +80,7 @@ def manual_start(
     rng = np.random.default_rng([seed, 0x3A4D])
     target = rng.uniform(*error_px)
     gene_map = GeneMap(cameras, mesh.centroid, GeneBox(), "pinhole", "camera")
-    for _ in range(100):
+    for _ in range(30):
         genes = rng.uniform(-1.0, 1.0, gene_map.n_genes)
         scale = 1.0
         # The error grows almost linearly with the genes: a few steps find the scale.
