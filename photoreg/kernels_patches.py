@@ -7,7 +7,8 @@ and what is compared is the pattern of colours, not the colours.
 import numba as nb
 import numpy as np
 
-from photoreg.kernels import FASTMATH, list_seen, project
+from photoreg.kernels import list_seen, project
+from photoreg.kernels_exposure import FASTMATH
 
 FLAT = np.float32(1e-6)
 """Variance in squared colour units below which a patch has no pattern at all."""
