@@ -1,0 +1,124 @@
+"""The photo pair's term: against its twin, finite differences, and its own noise."""
+
+import numba
+import numpy as np
+import pytest
+
+from photoreg.alignment import PolishConfig, _terms, _working_size
+from photoreg.increments import Increments, PriorScales
+from photoreg.kernels_polish import colours_at
+from photoreg.photometric import CUT, PairTerm, measure_noise
+from tests.naive_photometric import catmull_rom, pair_cost
+from tests.polish_scene import make_polish_scene
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return make_polish_scene(gain=0.85, offset=9.0)
+
+
+@pytest.fixture(scope="module")
+def term_and_x(scene):
+    increments = tuple(
+        Increments(camera, scene.mesh.centroid, PriorScales()) for camera in scene.rough
+    )
+    # Near the truth, where no point leaves a photo.
+    x = np.concatenate(
+        [inc.of_camera(c) for inc, c in zip(increments, scene.cameras, strict=True)]
+    )
+    x = x + 0.03 * np.random.default_rng(1).normal(size=18)
+    sizes = [_working_size(photo, 2048) for photo in scene.photos]
+    config = PolishConfig(
+        blurs_px=(2.0,), points=(3000,), rounds=(1,), rim_reaches_px=(8.0,)
+    )
+    terms = _terms(scene.mesh, scene.photos, increments, x, sizes, 0, config, 0)
+    (pair,) = (term for term in terms if isinstance(term, PairTerm))
+    return pair, x
+
+
+def test_sampling_equals_its_twin():
+    rng = np.random.default_rng(0)
+    photo = rng.uniform(0, 255, (20, 30, 3)).astype(np.float32)
+    pixels = rng.uniform(2.0, 17.0, (50, 2))
+    twin = np.array([catmull_rom(photo, u, v) for u, v in pixels])
+    gap = np.abs(colours_at(photo, pixels) - twin).max()
+    assert gap < 1e-4, gap
+
+
+def test_cost_equals_its_twin(term_and_x):
+    term, x = term_and_x
+    cameras = [
+        inc.camera(x[9 * i : 9 * i + 9]) for i, inc in enumerate(term.increments)
+    ]
+    twin = pair_cost(
+        term.surface,
+        term.images,
+        cameras,
+        term.gain,
+        term.offset,
+        term.sigma,
+        np.minimum((term.sigma / np.maximum(term.tau, 1e-9)) ** 2, 1e12),
+        CUT,
+    )
+    assert term.cost(x) == pytest.approx(float(term.weight @ twin), rel=1e-4)
+
+
+def test_gradient_is_the_finite_difference_of_the_cost(term_and_x):
+    term, x = term_and_x
+    model = term.linearise(x)
+    assert model.cost == pytest.approx(term.cost(x), rel=1e-12)
+    numeric = np.zeros(18)
+    for j in range(18):
+        step = np.zeros(18)
+        step[j] = 1e-4
+        numeric[j] = (term.cost(x + step) - term.cost(x - step)) / 2e-4
+    # The cells' offsets end after four passes, not quite at their minimum.
+    gap = np.abs(model.gradient - numeric).max() / np.abs(numeric).max()
+    assert gap < 2e-2, gap
+
+
+def test_normal_matrix_is_symmetric_and_not_negative(term_and_x):
+    term, x = term_and_x
+    normal = term.linearise(x).normal
+    assert np.array_equal(normal, normal.T)
+    values = np.linalg.eigvalsh(normal)
+    assert values[0] > -1e-9 * values[-1], values
+
+
+def test_both_cameras_sliding_together_cost_nothing_in_the_normal_matrix(term_and_x):
+    # A flat normal matrix along a common world motion needs slopes shared on the
+    # surface; with slopes of each photo its noise would look like curvature.
+    term, x = term_and_x
+    normal = term.linearise(x).normal
+    values = np.linalg.eigvalsh(normal)
+    assert values[0] < 1e-3 * values[-1], values
+
+
+def test_measure_noise_finds_exposure_and_noise():
+    rng = np.random.default_rng(0)
+    starts = np.arange(0, 20_001, 100)
+    truth = rng.normal(100.0, 30.0, (20_000, 3))
+    light = np.repeat(rng.normal(0.0, 3.0, (200, 3)), 100, axis=0)
+    values = np.stack([truth, 0.8 * truth + 5.0], axis=1)
+    values += rng.normal(0.0, 1.0, values.shape)
+    values[:, 1] += light
+    gain, _, sigma, tau = measure_noise(values, starts)
+    root = np.sqrt(0.8)
+    assert np.abs(gain - root).max() < 0.005, gain
+    expected = np.sqrt(root**2 + 1.0 / root**2)
+    assert np.abs(sigma / expected - 1.0).max() < 0.03, (sigma, expected)
+    assert np.abs(tau / (3.0 / root) - 1.0).max() < 0.25, tau
+
+
+def test_sums_do_not_depend_on_the_number_of_threads(term_and_x):
+    term, x = term_and_x
+    threads = numba.get_num_threads()
+    first = term.linearise(x)
+    try:
+        numba.set_num_threads(1)
+        second = term.linearise(x)
+    finally:
+        numba.set_num_threads(threads)
+    assert first.cost == second.cost
+    assert np.array_equal(first.normal, second.normal)
+    assert np.array_equal(first.gradient, second.gradient)

@@ -1,0 +1,58 @@
+"""Levenberg-Marquardt over abstract terms."""
+
+import numpy as np
+
+from photoreg.polish import Damping, Prior, Quadratic, minimise, overdispersion
+
+
+class Rosenbrock:
+    """Half of (1 - x)^2 + 100 (y - x^2)^2: a curved valley with its bottom at (1, 1)."""
+
+    def _residuals(self, x):
+        return np.array([1.0 - x[0], 10.0 * (x[1] - x[0] ** 2)])
+
+    def cost(self, x):
+        return float(0.5 * (self._residuals(x) ** 2).sum())
+
+    def linearise(self, x):
+        J = np.array([[-1.0, 0.0], [-20.0 * x[0], 10.0]])
+        return Quadratic(self.cost(x), J.T @ self._residuals(x), J.T @ J)
+
+
+def test_minimise_follows_a_curved_valley_to_its_bottom():
+    steps = list(
+        minimise([Rosenbrock()], np.array([-1.2, 1.0]), Damping(200, 1e-9, 0.0))
+    )
+    assert np.abs(steps[-1].x - 1.0).max() < 1e-6, steps[-1].x
+
+
+def test_the_cost_never_rises():
+    steps = list(minimise([Rosenbrock()], np.array([-1.2, 1.0]), Damping(60)))
+    costs = np.array([step.model.cost for step in steps])
+    assert (np.diff(costs) < 0.0).all(), costs
+
+
+def test_a_parameter_that_nothing_sees_stays():
+    prior = Prior(np.array([2.0, 0.0]), np.diag([1.0, 0.0]))
+    last = list(minimise([prior], np.array([5.0, 7.0]), Damping()))[-1]
+    assert abs(last.x[0] - 2.0) < 1e-5, last.x
+    assert last.x[1] == 7.0
+
+
+def test_two_priors_meet_at_their_weighted_mean():
+    terms = [Prior(np.array([0.0]), np.eye(1)), Prior(np.array([4.0]), 3.0 * np.eye(1))]
+    last = list(minimise(terms, np.array([9.0]), Damping()))[-1]
+    assert abs(last.x[0] - 3.0) < 1e-6, last.x
+
+
+def test_overdispersion_is_one_for_independent_and_m_for_repeated_residuals():
+    rng = np.random.default_rng(0)
+    J, r = rng.normal(size=(3000, 4)), rng.normal(size=(3000, 1))
+    groups = [np.arange(3000)]
+    alone = overdispersion(J * r, J.T @ J, groups)
+    assert abs(alone - 1.0) < 0.1, alone
+    # Each residual four times over: the normal matrix counts all, the groups one.
+    repeated = overdispersion(
+        np.repeat(J * r, 4, axis=0), 4.0 * J.T @ J, [np.arange(12000) // 4]
+    )
+    assert abs(repeated - 4.0) < 0.4, repeated
