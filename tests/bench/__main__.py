@@ -18,7 +18,7 @@ import rich.console
 import rich.table
 import tyro
 
-from tests.bench import accuracy, calibration, kernel, optimisers, speed
+from tests.bench import accuracy, calibration, kernel, optimisers, resection, speed
 from tests.bench.metrics import (
     BENCHES,
     Metric,
@@ -27,7 +27,7 @@ from tests.bench.metrics import (
     save_baseline,
 )
 
-__all__ = ["accuracy", "calibration", "kernel", "optimisers", "speed"]
+__all__ = ["accuracy", "calibration", "kernel", "optimisers", "resection", "speed"]
 
 
 def main(
