@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from photoreg.camera import Camera
 from photoreg.errors import InputError
@@ -273,12 +273,6 @@ class GeneMap:
             ],
             axis=-1,
         )
-
-    def on_border(
-        self, genes: Float[np.ndarray, "g"], margin: float = 0.01
-    ) -> Bool[np.ndarray, "g"]:
-        """Which genes lie within ``margin`` of an end of their interval, or beyond."""
-        return np.abs(genes) >= 1.0 - margin
 
     def names(self) -> list[str]:
         """What each gene is, in plain words, with the camera's number."""

@@ -251,7 +251,7 @@ class _Run:
                 step.cost,
             )
         self.warnings += doubts
-        self.reason = "The polish is done."
+        self.reason += " The polish is done."
 
     def _finished(self, consistency: PhotoConsistency, gene_map: GeneMap) -> Finished:
         if self.config.polish_after:
@@ -260,7 +260,11 @@ class _Run:
         if not cost <= start_cost:
             self.best, cost = self.start, start_cost
             self.reason = "Nothing better than the start was found."
-        self.warnings += border_warnings(gene_map, self.best)
+        # The search cannot leave its box; the polish can, and by less than half an
+        # interval it often rightly does.
+        self.warnings += border_warnings(
+            gene_map, self.best, 1.5 if self.config.polish_after else 0.99
+        )
         return Finished(
             self._all(self.best),
             start_cost,
@@ -331,11 +335,13 @@ def shared_samples(
     return candidates.subset(shared)
 
 
-def border_warnings(gene_map: GeneMap, cameras: Sequence[Camera]) -> list[str]:
-    """A warning that names the genes on the border of the search box, if any is."""
-    on_border = gene_map.on_border(gene_map.to_genes(cameras))
+def border_warnings(
+    gene_map: GeneMap, cameras: Sequence[Camera], limit: float
+) -> list[str]:
+    """A warning that names the genes at ``limit`` half-intervals or beyond, if any."""
+    beyond = np.abs(gene_map.to_genes(cameras)) >= limit
     names = [
-        name for name, is_on in zip(gene_map.names(), on_border, strict=True) if is_on
+        name for name, is_on in zip(gene_map.names(), beyond, strict=True) if is_on
     ]
     if not names:
         return []

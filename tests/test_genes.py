@@ -138,13 +138,6 @@ def test_rotations_are_rotations_and_their_vectors_come_back(seed):
     np.testing.assert_allclose(rotation_vectors(R), vectors, atol=1e-9)
 
 
-def test_on_border_finds_the_genes_at_the_ends():
-    genes = gene_map()
-    vector = np.zeros(18)
-    vector[[2, 5]] = [0.995, -1.0]
-    assert np.flatnonzero(genes.on_border(vector)).tolist() == [2, 5]
-
-
 def test_a_widened_box_leaves_the_principal_point():
     wide = GeneBox().widened(2.0)
     assert (wide.focal, wide.rotation_deg, wide.principal_point) == (0.04, 2.0, 0.005)
