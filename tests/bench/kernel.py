@@ -25,7 +25,7 @@ from tests.bench.worlds import world
 SOURCE = Path(__file__).with_name("kernel.cpp")
 FLAGS = ("-O3", "-march=native", "-std=c++17", "-shared", "-fPIC", "-pthread")
 N_INDIVIDUALS = 500
-N_TURNS = 15
+N_TURNS = 60
 
 Costs = tuple[np.ndarray, np.ndarray]
 
