@@ -17,10 +17,11 @@ from photoreg.visibility import visible
 from tests.browser.driver import wait_until
 
 MAX_ERROR_PX = 1.5
-MEDIAN_COLOUR_DIFFERENCE = 6.0
-"""Of 255. Measured: see the test's message; JPEG, resampling and 1 px of error."""
+MEDIAN_COLOUR_DIFFERENCE = 4.0
+"""Of 255. Measured 1.7: JPEG, resampling, a fraction of a pixel of error."""
 
-MEAN_COLOUR_DIFFERENCE = 12.0
+MEAN_COLOUR_DIFFERENCE = 15.0
+"""Measured 10.8: with the margins along silhouettes, which are filled, not painted."""
 
 
 def test_a_person_s_whole_way(open_app, tmp_path):
