@@ -265,6 +265,42 @@ def pair_values(points, photo_a, photo_b, geometry_a, geometry_b):
     return out
 
 
+@nb.njit(cache=True, nogil=True)
+def slope_energy(points, normals_world, photo_a, photo_b, geometry_a, geometry_b, gain):
+    """Energy of the colours' slopes on the surface, (3, 2): a channel.
+
+    First the product of the two photos' slopes, in which their noise does not meet,
+    then the square of the slopes' mean, in which it does.
+    """
+    out = np.zeros((CHANNELS, 2))
+    uv = np.zeros(5)
+    colour_a = np.zeros((CHANNELS, 3))
+    colour_b = np.zeros((CHANNELS, 3))
+    map_a = np.zeros((2, 2))
+    map_b = np.zeros((2, 2))
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        if not project_point(geometry_a, x, y, z, uv):
+            continue
+        sample_cubic(photo_a, uv[0], uv[1], colour_a)
+        tangent_map(geometry_a, uv, normals_world[i], map_a)
+        # Slopes in pixels of photo a: lengths along the surface cancel in the ratio.
+        scale = (uv[4] + geometry_a[11]) / geometry_a[12]
+        if not project_point(geometry_b, x, y, z, uv):
+            continue
+        sample_cubic(photo_b, uv[0], uv[1], colour_b)
+        tangent_map(geometry_b, uv, normals_world[i], map_b)
+        for k in range(CHANNELS):
+            for m in range(2):
+                a = map_a[0, m] * colour_a[k, 1] + map_a[1, m] * colour_a[k, 2]
+                b = map_b[0, m] * colour_b[k, 1] + map_b[1, m] * colour_b[k, 2]
+                a *= gain[k] * scale
+                b *= scale / gain[k]
+                out[k, 0] += a * b
+                out[k, 1] += 0.25 * (a + b) * (a + b)
+    return out
+
+
 @nb.njit(parallel=True, cache=True, nogil=True)
 def pair_normal_equations(
     points,

@@ -9,7 +9,12 @@ from jaxtyping import Bool, Float, Int
 
 from photoreg.camera import Camera
 from photoreg.increments import N_INCREMENTS, Increments
-from photoreg.kernels_polish import pair_normal_equations, pair_values, pixel_rays
+from photoreg.kernels_polish import (
+    pair_normal_equations,
+    pair_values,
+    pixel_rays,
+    slope_energy,
+)
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.polish import Quadratic, overdispersion, own_step
@@ -21,6 +26,8 @@ CUT = 2.0
 """Scale of the Cauchy cost in residual sigmas."""
 BLOCK_SIDES = (1, 2, 4)
 """Sides, in cells, of the blocks over which errors may be alike."""
+MIN_SIGNAL = 0.05
+"""Least share of the slopes' energy taken for signal."""
 MIN_SIGMA = 0.5
 """Least residual scale, in grey levels of 255: the rounding of bytes is 0.3."""
 
@@ -234,6 +241,9 @@ class PairTerm:
     offset: Float[np.ndarray, "3"]
     sigma: Float[np.ndarray, "3"]
     tau: Float[np.ndarray, "3"]
+    signal: Float[np.ndarray, "3"]
+    """Share of the slopes' energy that both photos have; the rest is noise and would
+    make the normal matrix promise what the cost does not keep."""
     weight: Float[np.ndarray, "3"]
     """Of each channel: independent residuals, as a share of the points."""
 
@@ -248,10 +258,13 @@ class PairTerm:
         weight: float,
     ) -> "PairTerm":
         """The term, with exposure and noise measured at ``x``."""
-        values = pair_values(
-            surface.points, *images, *_geometries(pair, increments, images, x)
-        )
+        geometries = _geometries(pair, increments, images, x)
+        values = pair_values(surface.points, *images, *geometries)
         gain, offset, sigma, tau = measure_noise(values, surface.cell_starts)
+        shared, mean = slope_energy(
+            surface.points, surface.normals, *images, *geometries, gain
+        ).T
+        signal = np.clip(shared / np.maximum(mean, 1e-12), MIN_SIGNAL, 1.0)
         return cls(
             pair,
             surface,
@@ -261,6 +274,7 @@ class PairTerm:
             offset,
             sigma,
             tau,
+            signal,
             np.full(3, weight),
         )
 
@@ -307,7 +321,7 @@ class PairTerm:
         surface = self.surface
         with np.errstate(divide="ignore"):
             precision = np.minimum((self.sigma / self.tau) ** 2, 1e12)
-        return pair_normal_equations(
+        costs, gradients, normals = pair_normal_equations(
             surface.points,
             surface.normals,
             surface.weights,
@@ -322,6 +336,7 @@ class PairTerm:
             CUT,
             derivatives,
         )
+        return costs, gradients, normals * self.signal[:, None, None]
 
 
 def measure_noise(

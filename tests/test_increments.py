@@ -11,7 +11,9 @@ from photoreg.kernels_polish import rim_rows
 @pytest.fixture
 def increments():
     K = np.array([[900.0, 1.5, 310.0], [0.0, 880.0, 260.0], [0.0, 0.0, 1.0]])
-    base = Camera(K, rotation(np.array([0.3, -0.5, 0.2])), [0.2, -0.1, 6.0], 640, 480)
+    base = Camera(
+        K, rotation(np.array([0.3, -0.5, 0.2])), np.array([0.2, -0.1, 6.0]), 640, 480
+    )
     return Increments(base, np.array([0.1, 0.2, -0.3]), PriorScales())
 
 
