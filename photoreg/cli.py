@@ -36,6 +36,7 @@ from photoreg.registration import (
     RegistrationConfig,
     refine,
 )
+from photoreg.reproduce import Reproduced, reproduce
 from photoreg.scene_options import SceneOptions
 from photoreg.synthetic import make_scene, write_scene
 from photoreg.texture import TextureConfig, bake_texture
@@ -55,6 +56,7 @@ def commands(argv: Sequence[str] = ()) -> dict[str, Callable[..., int]]:
         "evaluate": evaluate_command,
         "texture": texture_command,
         "synthesize": synthesize_command,
+        "reproduce": reproduce_command,
     }
 
 
@@ -248,6 +250,27 @@ def synthesize_command(
     return 0
 
 
+def reproduce_command(*, out: Path, runs: int = 10, seed: int = 0) -> int:
+    """Make the paper's experiment on the synthetic Shell and write a report.
+
+    Args:
+        out: Folder for report.html, report.md, results.json and the figures.
+        runs: Runs of each column of the paper's Table 1.
+        seed: Of the rough cameras and the searches.
+    """
+    with _bar() as bar, _asked_to_stop() as stop:
+        task = bar.add_task("getting ready", total=1.0, cost="")
+        for step in reproduce(out, runs, seed):
+            if isinstance(step, Reproduced):
+                _log.print(f"Written: {', '.join(str(path) for path in step.paths)}.")
+                return 0
+            bar.update(task, completed=step.fraction, description=step.text)
+            if stop.is_set():
+                break
+    _log.print("Stopped; no report was written.")
+    return 1
+
+
 def run(
     argv: Sequence[str], others: Mapping[str, Callable[..., int]] | None = None
 ) -> int:
@@ -298,17 +321,8 @@ def _watch(
     config: RegistrationConfig,
 ) -> tuple[Progress | Finished, bool]:
     """Runs a refinement under a progress bar; its last event, and whether Ctrl-C came."""
-    bar = rich.progress.Progress(
-        rich.progress.TextColumn("{task.description}"),
-        rich.progress.BarColumn(),
-        rich.progress.TaskProgressColumn(),
-        rich.progress.TextColumn("cost {task.fields[cost]}"),
-        rich.progress.TimeRemainingColumn(),
-        console=_log,
-        transient=True,
-    )
-    with bar, _asked_to_stop() as stop:
-        task = bar.add_task("getting ready", total=1.0, cost="-")
+    with _bar() as bar, _asked_to_stop() as stop:
+        task = bar.add_task("getting ready", total=1.0, cost="")
         event = None
         for event in refine(mesh, photos, start, config):
             if isinstance(event, Progress) and math.isfinite(event.best_cost):
@@ -316,12 +330,24 @@ def _watch(
                     task,
                     completed=event.fraction,
                     description=event.step,
-                    cost=f"{event.best_cost:.4g}",
+                    cost=f"cost {event.best_cost:.4g}",
                 )
             if stop.is_set():
                 break
     assert event is not None  # The last event of every refinement is its end.
     return event, stop.is_set() and not isinstance(event, Finished)
+
+
+def _bar() -> rich.progress.Progress:
+    return rich.progress.Progress(
+        rich.progress.TextColumn("{task.description}"),
+        rich.progress.BarColumn(),
+        rich.progress.TaskProgressColumn(),
+        rich.progress.TextColumn("{task.fields[cost]}"),
+        rich.progress.TimeRemainingColumn(),
+        console=_log,
+        transient=True,
+    )
 
 
 @contextlib.contextmanager
