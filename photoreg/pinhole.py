@@ -177,54 +177,53 @@ def fit(
         weights = np.ones((len(models), len(pairs.X)))
     prior = pairs.prior_weights[:n_free]
     damping = np.full(len(models), 1e-3)
+    diagonal = np.arange(n_free)
 
-    def cost_of(squared: np.ndarray, off: np.ndarray) -> np.ndarray:
-        if np.isfinite(robust_px):
-            squared = squared / (1.0 + squared / robust_px**2)
-        return np.sum(weights * squared, axis=1) / sigma_px**2 + off**2 @ prior
-
-    def costs(of: Models) -> np.ndarray:
-        offsets = project(of, pairs.X, pairs.A) - pairs.pixels
-        return cost_of((offsets**2).sum(axis=2), pairs.prior_steps(of)[:, :n_free])
-
-    cost = costs(models)
-    for _ in range(n_steps):
-        pixels, J = project_with_derivatives(models, pairs.X, pairs.A, pairs.unit_px)
-        offsets, J = pixels - pairs.pixels, J[..., :n_free]
+    def at(of: Models) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        pixels, J = project_with_derivatives(of, pairs.X, pairs.A, pairs.unit_px)
+        offsets = pixels - pairs.pixels
+        squared = (offsets**2).sum(axis=2)
         pull = weights / sigma_px**2
         if np.isfinite(robust_px):
-            pull = pull / (1.0 + (offsets**2).sum(axis=2) / robust_px**2) ** 2
-        m = len(models)
-        Jt = (J * pull[:, :, None, None]).reshape(m, -1, n_free).transpose(0, 2, 1)
-        normal = Jt @ J.reshape(m, -1, n_free)
-        off = pairs.prior_steps(models)[:, :n_free]
-        gradient = (Jt @ offsets.reshape(m, -1, 1))[:, :, 0] + off * prior
-        diagonal = np.arange(n_free)
+            less = 1.0 / (1.0 + squared / robust_px**2)
+            squared, pull = squared * less, pull * less**2
+        off = pairs.prior_steps(of)[:, :n_free]
+        cost = np.sum(weights * squared, axis=1) / sigma_px**2 + off**2 @ prior
+        J = J[..., :n_free].reshape(len(of), -1, n_free)
+        Jt = (J * np.repeat(pull, 2, axis=1)[:, :, None]).transpose(0, 2, 1)
+        normal = Jt @ J
         normal[:, diagonal, diagonal] += prior
-        normal[:, diagonal, diagonal] *= 1.0 + damping[:, None]
-        normal[:, diagonal, diagonal] += 1e-9
-        steps = -np.linalg.solve(normal, gradient[:, :, None])[:, :, 0]
+        gradient = (Jt @ offsets.reshape(len(of), -1, 1))[:, :, 0] + off * prior
+        return cost, gradient, normal
+
+    cost, gradient, normal = at(models)
+    for _ in range(n_steps):
+        damped = normal.copy()
+        damped[:, diagonal, diagonal] *= 1.0 + damping[:, None]
+        damped[:, diagonal, diagonal] += 1e-9
+        steps = -np.linalg.solve(damped, gradient[:, :, None])[:, :, 0]
         # A turn or a doubling at once is beyond what the derivatives tell.
         steps /= np.maximum(1.0, np.abs(steps).max(axis=1) / 0.7)[:, None]
         tried = models.moved(steps, pairs.unit_px)
-        tried_cost = costs(tried)
+        tried_cost, tried_gradient, tried_normal = at(tried)
         better = tried_cost < cost
-        models, cost = tried.where(better, models), np.where(better, tried_cost, cost)
+        models = tried.where(better, models)
+        cost = np.where(better, tried_cost, cost)
+        gradient = np.where(better[:, None], tried_gradient, gradient)
+        normal = np.where(better[:, None, None], tried_normal, normal)
         damping = np.clip(np.where(better, 0.1 * damping, 10.0 * damping), 1e-9, 1e6)
     return models, cost
 
 
 def turns(vectors: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3 3"]:
     """Rotations about ``vectors`` by their lengths in radians (Rodrigues)."""
-    angle = np.linalg.norm(vectors, axis=1)[:, None, None]
+    x, y, z = vectors.T
+    angle = np.maximum(np.sqrt(x * x + y * y + z * z), 1e-12)[:, None, None]
     cross = np.zeros((len(vectors), 3, 3))
-    cross[:, 0, 1], cross[:, 0, 2] = -vectors[:, 2], vectors[:, 1]
-    cross[:, 1, 0], cross[:, 1, 2] = vectors[:, 2], -vectors[:, 0]
-    cross[:, 2, 0], cross[:, 2, 1] = -vectors[:, 1], vectors[:, 0]
-    # sin(t)/t and (1 - cos(t))/t^2 without a division by zero.
-    first = np.sinc(angle / np.pi)
-    second = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
-    return np.eye(3) + first * cross + second * (cross @ cross)
+    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -z, y, -x
+    cross -= cross.transpose(0, 2, 1)
+    half = np.sin(0.5 * angle) / angle
+    return np.eye(3) + np.sin(angle) / angle * cross + 2.0 * half**2 * (cross @ cross)
 
 
 def _rows(models: Models, row: int) -> np.ndarray:

@@ -30,6 +30,8 @@ PRINCIPAL_SIGMA_SIDES = 0.02
 EXACT_PX = 0.01
 """Pairs that agree so well without any prior were computed, not clicked: then the prior
 has no say."""
+SIGMA_WORTH = 4
+"""How many residuals the expected error of a click outweighs in the foretold error."""
 FLAT_SHARE = 1e-3
 """Points within this share of their extent of a line are on a line."""
 
@@ -96,7 +98,7 @@ def solve_camera(
         focal_sigma: Relative standard error of the prior's focal length.
         click_sigma_px: Standard error of a click, each axis.
         surface: Points over which the error is foretold, such as the mesh's vertices,
-            or some of them; None: the clicked points and as far again around them.
+            or some of them; None: the clicked points and a third farther around them.
         seed: Same seed, same camera.
 
     Raises:
@@ -134,7 +136,7 @@ def solve_camera(
     residuals = np.hypot(offsets[:, 0], offsets[:, 1])
     residuals[np.isnan(residuals)] = np.inf
     if surface is None:
-        where = np.concatenate([pairs.X, 2.0 * pairs.X])
+        where = np.concatenate([pairs.X, 1.3 * pairs.X])
     else:
         where = (
             check_points(surface, "The list of points of the surface") - origin
@@ -248,6 +250,7 @@ def _polished(
             ftol=1e-15,
             gtol=0.0,
             maxfev=60,
+            full_output=True,
         )[0]
         return start.moved(step[None], pairs.unit_px)
 
@@ -284,11 +287,17 @@ def _expected_errors(
 ) -> tuple[float, float]:
     """Root mean square error over ``where`` in pixels; relative error of the focal length.
 
-    To first order: clicks err by ``sigma_px``, and what was not solved for errs as its
-    prior does and drags the rest along.
+    To first order: clicks err by ``sigma_px``, or what the residuals say as far as they
+    can, and what was not solved for errs as its prior does and drags the rest along.
     """
     unit, A = pairs.unit_px, pairs.A
-    _, J = pinhole.project_with_derivatives(model, pairs.X[inliers], A, unit)
+    pixels, J = pinhole.project_with_derivatives(model, pairs.X[inliers], A, unit)
+    squares = float(((pixels[0] - pairs.pixels[inliers]) ** 2).sum())
+    left_over = max(2 * int(inliers.sum()) - n_free, 0)
+    # The expected variance counts as much as so many residuals (inverse gamma).
+    sigma_px = np.sqrt(
+        (SIGMA_WORTH * sigma_px**2 + squares) / (SIGMA_WORTH + left_over)
+    )
     J = J[0].reshape(-1, pinhole.N_PARAMETERS) / sigma_px
     weights = pairs.prior_weights
     fitted, kept = J[:, :n_free], J[:, n_free:]
@@ -303,7 +312,6 @@ def _expected_errors(
     where = where[pinhole.depths(model, where)[0] > 0.1]
     _, J = pinhole.project_with_derivatives(model, where, A, unit)
     variance = np.einsum("nij,jk,nik->n", J[0], covariance, J[0])
-    # The median of the squares would hide a bad corner; the mean may be one point.
     return float(np.sqrt(variance.mean())), float(np.sqrt(covariance[6, 6]))
 
 

@@ -92,21 +92,24 @@ class Search:
     def _robust(
         self, models: Models
     ) -> list[tuple[Models, np.ndarray, np.ndarray, float]]:
+        """Explanations with outliers, and with clicks worse than expected."""
         found = []
         for factor in NOISE_FACTORS:
             sigma = factor * self.click_sigma_px
-            start = self._best_by_score(models, sigma, 40 if factor == 1.0 else 16)
-            for scale, n_steps in ((12.0, 6), (4.0, 5)):
-                start, _ = pinhole.fit(
-                    start, self.pairs, self.n_free, sigma, None, scale * sigma, n_steps
+            # The first round leaves few models worth another.
+            models = self._best_by_score(models, sigma, 24 if factor == 1.0 else 8)
+            scales = ((12.0, 6), (4.0, 5)) if factor == 1.0 else ((4.0, 4),)
+            for scale, n_steps in scales:
+                models, _ = pinhole.fit(
+                    models, self.pairs, self.n_free, sigma, None, scale * sigma, n_steps
                 )
-            inliers = self._inliers(start, sigma)
-            start, _ = self._fit(start, sigma, inliers, 5)
-            found += self._judged(start, self._inliers(start, sigma), sigma)
+            inliers = self._inliers(models, sigma)
+            few, _ = self._fit(models, sigma, inliers, 4)
+            found += self._judged(few, self._inliers(few, sigma), sigma)
             if factor > 1.0:
                 everything = np.ones_like(inliers)
-                start, _ = self._fit(start, sigma, everything, 6)
-                found += self._judged(start, everything[:1], sigma)
+                few, _ = self._fit(models, sigma, everything, 6)
+                found += self._judged(few, everything[:1], sigma)
         return found
 
     def _fit(
