@@ -23,10 +23,12 @@ import tyro
 
 from photoreg.camera import Camera
 from photoreg.checks import check_output_file
+from photoreg.cli_convert import convert_command
 from photoreg.errors import InputError, OutputError, PhotoregError
 from photoreg.evaluate import projection_error
-from photoreg.formats.cameras_json import CameraFile, load_cameras, save_cameras
-from photoreg.formats.obj import save_textured_obj
+from photoreg.formats.cameras import read_cameras
+from photoreg.formats.cameras_json import CameraFile, save_cameras
+from photoreg.formats.textured import TEXTURED_FORMATS, save_textured
 from photoreg.mesh import Mesh, load_mesh
 from photoreg.photo import Photo, load_photo
 from photoreg.registration import (
@@ -55,6 +57,7 @@ def commands(argv: Sequence[str] = ()) -> dict[str, Callable[..., int]]:
         "refine": _refine_command(RegistrationConfig.preset(_preset(argv))),
         "evaluate": evaluate_command,
         "texture": texture_command,
+        "convert": convert_command,
         "synthesize": synthesize_command,
         "reproduce": reproduce_command,
     }
@@ -92,7 +95,7 @@ def _refine_command(preset: RegistrationConfig) -> Callable[..., int]:
         Args:
             mesh: The scanned surface: OBJ, PLY, STL, GLB or OFF.
             photos: Two or more photos: JPEG, PNG or TIFF.
-            cameras: Rough cameras to start from, a photoreg camera file.
+            cameras: Rough cameras to start from, in any format of `photoreg convert`.
             out: Where the refined cameras go (.json).
             preset: Where the options below start from: default; fast, for a look;
                 thorough, for very rough starts; paper, the paper's genetic algorithm.
@@ -136,12 +139,12 @@ def evaluate_command(
 
     Args:
         mesh: The scanned surface.
-        cameras: The cameras to judge, a photoreg camera file.
+        cameras: The cameras to judge, in any format of `photoreg convert`.
         truth: The true cameras; photos are matched by name.
         json: Print the figures as JSON on standard output.
     """
     surface = load_mesh(mesh)
-    estimated, true = load_cameras(cameras).cameras, load_cameras(truth).cameras
+    estimated, true = read_cameras(cameras).cameras, read_cameras(truth).cameras
     if not estimated:
         raise InputError(f"{cameras.name} has no cameras.")
     missing = [name for name in estimated if name not in true]
@@ -190,24 +193,27 @@ def texture_command(
     *,
     cameras: Path,
     out: Path,
+    at_vertices: bool = False,
     config: Annotated[TextureConfig, tyro.conf.arg(name="")] = TextureConfig(),
     json: bool = False,
 ) -> int:
-    """Lay the photos onto the mesh: a textured OBJ with its MTL and PNG.
+    """Lay the photos onto the mesh: a textured OBJ, GLB or PLY.
 
     Args:
         mesh: The scanned surface.
         photos: The photos to lay onto it.
-        cameras: Their refined cameras, a photoreg camera file.
-        out: Where the model goes (.obj); the MTL and PNG go beside it.
+        cameras: Their refined cameras, in any format of `photoreg convert`.
+        out: Where the model goes: .glb, all in one file; .obj, with MTL and PNG beside
+            it; .ply, with a PNG.
+        at_vertices: For .ply: colours at the vertices instead of a texture.
         config: How the texture is made.
         json: Print the figures as JSON on standard output.
     """
-    check_output_file(out, (".obj",))
+    check_output_file(out, (".ply",) if at_vertices else tuple(TEXTURED_FORMATS))
     surface, pictures, _, exact = _load_scene(mesh, photos, cameras, at_least=1)
     began = time.perf_counter()
     textured = bake_texture(surface, pictures, exact, config)
-    written = save_textured_obj(out, textured)
+    written = save_textured(out, textured, at_vertices)
     elapsed_s = time.perf_counter() - began
     height, width = textured.texture.shape[:2]
     _log.print(
@@ -308,7 +314,7 @@ def _load_scene(
         raise InputError(
             f"{twice[0]} was given twice. Photos are told apart by file name."
         )
-    file = load_cameras(cameras)
+    file = read_cameras(cameras, photos=photos)
     surface = load_mesh(mesh)
     pictures = [load_photo(path) for path in photos]
     return surface, pictures, file, file.of_photos(pictures)

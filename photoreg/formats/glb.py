@@ -1,0 +1,90 @@
+"""Textured GLB (binary glTF 2.0), the texture within."""
+
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+import trimesh
+import trimesh.visual
+from PIL import Image
+from trimesh.exchange.gltf import export_glb
+from trimesh.visual.material import PBRMaterial
+
+from photoreg.checks import check_output_file
+from photoreg.formats.pictures import PictureKind, encode_picture
+from photoreg.formats.seams import split_at_seams
+from photoreg.formats.writing import write_files
+from photoreg.texture import TexturedMesh
+
+FAR_OFF = 16.0
+"""Coordinates larger than so many diagonals of the mesh are written from its middle."""
+
+
+class _Encoded(Image.Image):
+    """A picture that is saved as the bytes it was encoded to, not once more."""
+
+    content: bytes
+
+    def save(self, fp: IO[bytes], format: str | None = None, **params: object) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        del format, params
+        fp.write(self.content)
+
+
+def save_textured_glb(
+    path: Path | str, textured: TexturedMesh, picture: PictureKind = "png"
+) -> list[Path]:
+    """Writes the model as one file.
+
+    The mesh's vertices come first and in their order, then those doubled along seams.
+    glTF holds coordinates in single precision: where they are large for the mesh's
+    size, they are written from its middle, and a node moves them back.
+
+    Args:
+        path: Where it goes (.glb).
+        textured: What `bake_texture` returned.
+        picture: How the texture is embedded; JPEG is several times smaller.
+
+    Returns:
+        The file.
+
+    Raises:
+        OutputError: if it cannot be written there.
+    """
+    path = check_output_file(Path(path), (".glb",))
+    return write_files({path: textured_glb(textured, picture)})
+
+
+def textured_glb(textured: TexturedMesh, picture: PictureKind = "png") -> bytes:
+    """The file of `save_textured_glb`, for a download."""
+    vertex_index, uv, faces = split_at_seams(textured)
+    mesh = textured.mesh
+    middle = mesh.bounds.mean(axis=0)
+    if np.abs(middle).max() < FAR_OFF * mesh.diagonal:
+        middle = np.zeros(3)
+    model = trimesh.Trimesh(
+        mesh.vertices[vertex_index] - middle,
+        faces,
+        vertex_normals=mesh.vertex_normals[vertex_index],
+        visual=trimesh.visual.TextureVisuals(uv, _material(textured, picture)),
+        process=False,
+        validate=False,
+    )
+    move = np.eye(4)
+    move[:3, 3] = middle
+    scene = trimesh.Scene()
+    scene.add_geometry(model, node_name="model", geom_name="model", transform=move)
+    return export_glb(scene, include_normals=True)
+
+
+def _material(textured: TexturedMesh, picture: PictureKind) -> PBRMaterial:
+    image = _Encoded()
+    image.content = encode_picture(textured.texture, picture)
+    image.format = picture.upper()
+    # Neither metal nor gloss: viewers show the texture much as it is.
+    return PBRMaterial(
+        name="textured",
+        baseColorTexture=image,
+        metallicFactor=0.0,
+        roughnessFactor=1.0,
+        doubleSided=True,
+    )

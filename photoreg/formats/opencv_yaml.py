@@ -1,0 +1,93 @@
+"""OpenCV's FileStorage, YAML: K, R, t and P of each photo, nothing lost.
+
+A list "cameras" of {photo, width, height, K, R, t, P}. The axes and the pixel (0, 0)
+are those of `cv2.projectPoints`, which are photoreg's own.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from photoreg.camera import Camera
+from photoreg.errors import InputError
+from photoreg.formats.camera_set import CameraSet, Saved, cameras_by_name
+from photoreg.formats.parsing import camera_of, read_text, refuse_distortion, size_px
+from photoreg.formats.writing import write_files
+
+
+def save_opencv(path: Path, cameras: CameraSet) -> Saved:
+    """Writes YAML that `cv2.FileStorage` reads.
+
+    Raises:
+        OutputError: if it cannot be written there.
+    """
+    storage = cv2.FileStorage(".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    storage.startWriteStruct("cameras", cv2.FILE_NODE_SEQ)
+    for name, camera in cameras.cameras.items():
+        storage.startWriteStruct("", cv2.FILE_NODE_MAP)
+        storage.write("photo", name)
+        storage.write("width", camera.width)
+        storage.write("height", camera.height)
+        storage.write("K", camera.K.copy())
+        storage.write("R", camera.R_cam_world.copy())
+        storage.write("t", camera.t_cam_world.reshape(3, 1).copy())
+        storage.write("P", camera.P)
+        storage.endWriteStruct()
+    storage.endWriteStruct()
+    return Saved(write_files({path: storage.releaseAndGetString()}))
+
+
+def load_opencv(path: Path) -> dict[str, Camera]:
+    """Reads what `save_opencv` wrote, or a program that keeps to its keys.
+
+    "distortion", where there is one, must be zero; R may also be a rotation vector.
+
+    Raises:
+        InputError: if it is not such a file or a camera in it is not valid.
+    """
+    text = read_text(path, "camera file", max_bytes=1 << 28)
+    storage = cv2.FileStorage()
+    try:
+        storage.open(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        node = storage.getNode("cameras")
+        if not node.isSeq():
+            raise InputError(f'{path.name} should hold a list "cameras".')
+        return cameras_by_name(_cameras(path, node), path.name)
+    except (cv2.error, SystemError) as error:
+        raise InputError(
+            f"{path.name} is not a YAML file that OpenCV reads; it should begin with "
+            "%YAML:1.0, and hold matrices of numbers."
+        ) from error
+    finally:
+        storage.release()
+
+
+def _cameras(path: Path, cameras: cv2.FileNode) -> Iterator[tuple[str, Camera]]:
+    for i in range(cameras.size()):
+        where, entry = f"{path.name}, camera {i + 1}", cameras.at(i)
+        if not entry.isMap():
+            raise InputError(f"{where} should be a map with photo, K, R and t.")
+        name = entry.getNode("photo")
+        if not name.isString():
+            raise InputError(f'{where}: "photo" should be a file name.')
+        where = f"{where} ({name.string()})"
+        sides = [entry.getNode(key) for key in ("width", "height")]
+        if not all(side.isInt() or side.isReal() for side in sides):
+            raise InputError(f"{where} lacks the photo's width and height.")
+        K, R, t = (_matrix(entry, key, where) for key in ("K", "R", "t"))
+        if not entry.getNode("distortion").empty():
+            refuse_distortion(_matrix(entry, "distortion", where).ravel(), where)
+        if R.size == 3:
+            R = cv2.Rodrigues(R.reshape(3, 1))[0]
+        size = size_px(sides[0].real(), sides[1].real(), where)
+        yield name.string(), camera_of(where, K, R, t.ravel(), *size)
+
+
+def _matrix(entry: cv2.FileNode, key: str, where: str) -> np.ndarray:
+    node = entry.getNode(key)
+    matrix = node.mat() if node.isMap() else None
+    if matrix is None:
+        raise InputError(f'{where}: "{key}" should be a matrix.')
+    return np.asarray(matrix, dtype=np.float64)

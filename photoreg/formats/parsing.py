@@ -1,0 +1,115 @@
+"""Numbers and text out of other programs' files, each fault in one sentence."""
+
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from photoreg.camera import Camera
+from photoreg.checks import check_input_file
+from photoreg.errors import InputError
+from photoreg.formats.camera_set import MAX_SIDE_PX
+
+
+def read_text(path: Path, what: str, max_bytes: int = 1 << 30) -> str:
+    """The whole text of a file.
+
+    Raises:
+        InputError: if it is missing, empty, too long or not UTF-8.
+    """
+    check_input_file(path, what)
+    if path.stat().st_size > max_bytes:
+        raise InputError(
+            f"{path.name} has {path.stat().st_size:,} bytes, too many for a {what}."
+        )
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path.name} is not a text file ({what}).") from error
+
+
+def finite(value: object, where: str, what: str) -> float:
+    """A number, or the text of one, that is finite.
+
+    Raises:
+        InputError: if it is anything else.
+    """
+    try:
+        if isinstance(value, bool) or not isinstance(value, str | int | float):
+            raise ValueError
+        number = float(value)
+    except (ValueError, OverflowError):
+        raise InputError(
+            f"{where}: {what} should be a number, but is {value!r:.40}."
+        ) from None
+    if not math.isfinite(number):
+        raise InputError(f"{where}: {what} should be finite, but is {number}.")
+    return number
+
+
+def numbers(
+    words: Sequence[object], count: int | Iterable[int], where: str, what: str
+) -> list[float]:
+    """So many finite numbers.
+
+    Raises:
+        InputError: if there are more or fewer, or one is not a finite number.
+    """
+    allowed = [count] if isinstance(count, int) else list(count)
+    if len(words) not in allowed:
+        raise InputError(
+            f"{where}: {what} should be {' or '.join(map(str, allowed))} numbers, but "
+            f"there are {len(words)}."
+        )
+    return [finite(word, where, what) for word in words]
+
+
+def whole(value: object, where: str, what: str) -> int:
+    """A whole number, or the text of one.
+
+    Raises:
+        InputError: if it is anything else.
+    """
+    number = finite(value, where, what)
+    if number != int(number) or abs(number) > 2**53:
+        raise InputError(
+            f"{where}: {what} should be a whole number, but is {value!r:.40}."
+        )
+    return int(number)
+
+
+def size_px(width: object, height: object, where: str) -> tuple[int, int]:
+    """Width and height of a photo.
+
+    Raises:
+        InputError: if they are not whole numbers between 1 and a million.
+    """
+    size = whole(width, where, "the width"), whole(height, where, "the height")
+    if not all(0 < side < MAX_SIDE_PX for side in size):
+        raise InputError(
+            f"{where}: a photo of {size[0]} x {size[1]} px cannot be; width and height "
+            "should be positive."
+        )
+    return size
+
+
+def camera_of(
+    where: str, K: object, R: object, t: object, width: int, height: int
+) -> Camera:
+    """A camera; what is wrong with it is told with ``where`` it was read.
+
+    Raises:
+        InputError: if the numbers are not a camera.
+    """
+    try:
+        return Camera(K, R, t, width, height)  # pyright: ignore[reportArgumentType]
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
+
+
+def refuse_distortion(coefficients: Iterable[float], where: str) -> None:
+    """Raises InputError if a lens distortion coefficient is not zero."""
+    if any(value != 0.0 for value in coefficients):
+        raise InputError(
+            f"{where} has lens distortion, which photoreg's cameras do not; undistort "
+            "the photos in the program that made this file and export again."
+        )

@@ -1,0 +1,98 @@
+"""PLY, binary: with a texture beside it, or with colours at the vertices.
+
+Coordinates are doubles, vertices and faces in the mesh's own order, normals at the
+vertices. Texture coordinates belong to the corners of the faces, as MeshLab has them,
+so no vertex is doubled; "comment TextureFile" names the picture.
+"""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from photoreg.checks import check_output_file
+from photoreg.formats.pictures import encode_picture
+from photoreg.formats.seams import vertex_colours
+from photoreg.formats.writing import write_files
+from photoreg.texture import TexturedMesh
+
+_POINT = [(axis, "<f8") for axis in "xyz"] + [(f"n{axis}", "<f4") for axis in "xyz"]
+_COLOUR = [(channel, "u1") for channel in ("red", "green", "blue")]
+_FACE = [("n", "u1"), ("vertex_indices", "<i4", 3)]
+_CORNERS = [("n_uv", "u1"), ("texcoord", "<f4", 6)]
+
+
+def save_textured_ply(path: Path | str, textured: TexturedMesh) -> list[Path]:
+    """Writes PLY and PNG; the PNG is named after the PLY, spaces as underscores.
+
+    Args:
+        path: Where the PLY goes.
+        textured: What `bake_texture` returned.
+
+    Returns:
+        The two files.
+
+    Raises:
+        OutputError: if they cannot be written there.
+    """
+    path = check_output_file(Path(path), (".ply",))
+    picture = path.with_name(re.sub(r"\s", "_", path.stem) + ".png")
+    vertices = _vertices(textured, _POINT)
+    faces = np.zeros(len(textured.faces), dtype=np.dtype(_FACE + _CORNERS))
+    faces["n"], faces["vertex_indices"] = 3, textured.faces
+    faces["n_uv"], faces["texcoord"] = 6, textured.corner_uv.reshape(-1, 6)
+    header = _header(vertices, faces, f"comment TextureFile {picture.name}\n")
+    return write_files(
+        {
+            path: header + vertices.tobytes() + faces.tobytes(),
+            picture: encode_picture(textured.texture),
+        }
+    )
+
+
+def save_coloured_ply(path: Path | str, textured: TexturedMesh) -> list[Path]:
+    """Writes PLY with the texture's colour at each vertex.
+
+    Args:
+        path: Where it goes.
+        textured: What `bake_texture` returned.
+
+    Returns:
+        The file.
+
+    Raises:
+        OutputError: if it cannot be written there.
+    """
+    path = check_output_file(Path(path), (".ply",))
+    vertices = _vertices(textured, _POINT + _COLOUR)
+    for i, (channel, _) in enumerate(_COLOUR):
+        vertices[channel] = vertex_colours(textured)[:, i]
+    faces = np.zeros(len(textured.faces), dtype=np.dtype(_FACE))
+    faces["n"], faces["vertex_indices"] = 3, textured.faces
+    header = _header(vertices, faces)
+    return write_files({path: header + vertices.tobytes() + faces.tobytes()})
+
+
+def _vertices(textured: TexturedMesh, fields: list[tuple[str, str]]) -> np.ndarray:
+    vertices = np.zeros(len(textured.vertices), dtype=np.dtype(fields))
+    for i, axis in enumerate("xyz"):
+        vertices[axis] = textured.vertices[:, i]
+        vertices[f"n{axis}"] = textured.mesh.vertex_normals[:, i]
+    return vertices
+
+
+def _header(vertices: np.ndarray, faces: np.ndarray, comment: str = "") -> bytes:
+    types = {"<f8": "double", "<f4": "float", "|u1": "uchar"}
+    lines = [
+        "ply\nformat binary_little_endian 1.0\ncomment photoreg\n",
+        comment,
+        f"element vertex {len(vertices)}\n",
+        *(
+            f"property {types[vertices.dtype[name].str]} {name}\n"
+            for name in vertices.dtype.names or ()
+        ),
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\n",
+    ]
+    if "texcoord" in (faces.dtype.names or ()):
+        lines.append("property list uchar float texcoord\n")
+    return "".join([*lines, "end_header\n"]).encode()
