@@ -33,7 +33,7 @@ class CameraSet:
         if not self.cameras:
             raise InputError("There are no cameras to write.")
         for name in self.cameras:
-            if photo_name(name) != name or not name.isprintable():
+            if not name or photo_name(name) != name or not name.isprintable():
                 raise InputError(
                     f"Cameras are written by photo file name, but {name!r} is not a "
                     "plain file name."

@@ -10,6 +10,7 @@ References:
 
 import dataclasses
 import io
+import math
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -232,7 +233,7 @@ def _cameras(
             raise InputError(
                 f"{where} names camera {image.lens}, which does not exist."
             )
-        norm = float(np.linalg.norm(image.quaternion))
+        norm = math.hypot(*image.quaternion)
         if not abs(norm - 1.0) < 1e-2:
             raise InputError(
                 f"{where}: its rotation should be a unit quaternion, but is "
