@@ -14,7 +14,9 @@ NOISE_FACTORS = (1.0, 2.0, 4.0)
 """Clicks may be so much worse than expected, all of them, before some are outliers."""
 OUTLIER_SHARE = 0.1
 """Share of pairs expected to be grossly wrong, anywhere in the photo."""
-MAX_TRIPLES = 30
+MOST_TWO_FLIPS = 10
+"""Up to so many pairs, explanations two pairs apart are compared; beyond, one."""
+MAX_TRIPLES = 24
 """Triples that hypotheses come from, at most; they cost the time."""
 
 
@@ -97,7 +99,7 @@ class Search:
         for factor in NOISE_FACTORS:
             sigma = factor * self.click_sigma_px
             # The first round leaves few models worth another.
-            models = self._best_by_score(models, sigma, 24 if factor == 1.0 else 8)
+            models = self._best_by_score(models, sigma, 16 if factor == 1.0 else 8)
             scales = ((12.0, 6), (4.0, 5)) if factor == 1.0 else ((4.0, 4),)
             for scale, n_steps in scales:
                 models, _ = pinhole.fit(
@@ -106,11 +108,41 @@ class Search:
             inliers = self._inliers(models, sigma)
             few, _ = self._fit(models, sigma, inliers, 4)
             found += self._judged(few, self._inliers(few, sigma), sigma)
-            if factor > 1.0:
+            if factor == 1.0:
+                found += self._neighbours(found[-1])
+            else:
                 everything = np.ones_like(inliers)
                 few, _ = self._fit(models, sigma, everything, 6)
                 found += self._judged(few, everything[:1], sigma)
         return found
+
+    def _neighbours(
+        self, found: tuple[Models, np.ndarray, np.ndarray, float]
+    ) -> list[tuple[Models, np.ndarray, np.ndarray, float]]:
+        """Explanations that differ from the best by one or two pairs, in or out."""
+        models, costs, inliers, sigma = found
+        n = len(self.pairs.X)
+        flips = [*itertools.combinations(range(n), 1)]
+        if n <= MOST_TWO_FLIPS:
+            flips += itertools.combinations(range(n), 2)
+        changed = np.zeros((len(flips), n), dtype=bool)
+        for row, flip in enumerate(flips):
+            changed[row, list(flip)] = True
+        better = []
+        for _ in range(2):
+            if len(costs) == 0:
+                break
+            best = int(np.argmin(costs))
+            sets = inliers[best] ^ changed
+            sets = sets[sets.sum(axis=1) >= self.least]
+            start = models[np.full(len(sets), best)]
+            start, _ = self._fit(start, sigma, sets, 5)
+            better += self._judged(start, sets, sigma)
+            models, new_costs, inliers, sigma = better[-1]
+            if len(new_costs) == 0 or new_costs.min() >= costs.min():
+                break
+            costs = new_costs
+        return better
 
     def _fit(
         self, models: Models, sigma: float, inliers: np.ndarray | None, n_steps: int

@@ -91,6 +91,7 @@ def _figures(
     errors, bounds, expected, named = [], [], [], 0
     for trial in range(n_trials):
         camera = cameras[trial % len(cameras)]
+        seen = samples.points[seen_points(mesh, camera, samples.points)]
         rng = np.random.default_rng([trial, case.n_pairs])
         points = clicked_points(mesh, samples, camera, case.n_pairs, rng)
         pixels = camera.project(points) + rng.normal(size=(case.n_pairs, 2))
@@ -112,7 +113,7 @@ def _figures(
             camera.width,
             camera.height,
             prior if case.exif else None,
-            surface=samples.points[::100],
+            surface=seen[::20],
         )
         times[case.name].append(time.thread_time() - began)
         keep = np.ones(case.n_pairs, dtype=bool)
