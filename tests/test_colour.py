@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-import skimage.color
+from skimage.color.colorconv import rgb2lab, rgb2luv, rgb2xyz
 
 from photoreg.colour import convert
 from photoreg.errors import InputError
@@ -32,9 +32,9 @@ def test_luv_and_lab_agree_with_opencv(pixels, space, code):
 @pytest.mark.parametrize(
     ("space", "reference", "scale"),
     [
-        ("luv", skimage.color.rgb2luv, 1.0),
-        ("lab", skimage.color.rgb2lab, 1.0),
-        ("xyz", skimage.color.rgb2xyz, 100.0),
+        ("luv", rgb2luv, 1.0),
+        ("lab", rgb2lab, 1.0),
+        ("xyz", rgb2xyz, 100.0),
     ],
 )
 def test_cie_spaces_agree_with_scikit_image(pixels, space, reference, scale):
