@@ -485,6 +485,17 @@ def test_noise_is_refused_and_never_crashes(tmp_path, photos, name):
         assert told.endswith("."), told
 
 
+@pytest.mark.parametrize("line", ["rows: 3", "cols: 3", "cols: 1"])
+def test_a_matrix_without_its_size_does_not_reach_opencv(tmp_path, photos, line):
+    # cv2.FileNode.mat() corrupts memory on it (seen with OpenCV 5.0).
+    path, _ = write(tmp_path, "opencv", camera_set(photos))
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace(line, f"x{line}"), encoding="utf-8")
+    assert "should be a matrix" in refused(path)
+    path.write_text(text.replace(line, line[:-1] + "90000"), encoding="utf-8")
+    assert "numbers, but has" in refused(path)
+
+
 def test_lens_distortion_of_meshlab_and_nerfstudio_is_refused(tmp_path, photos):
     cameras = camera_set(photos)
     path, _ = write(tmp_path, "meshlab", cameras)

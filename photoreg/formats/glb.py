@@ -1,12 +1,12 @@
 """Textured GLB (binary glTF 2.0), the texture within."""
 
+import dataclasses
 from pathlib import Path
 from typing import IO
 
 import numpy as np
 import trimesh
 import trimesh.visual
-from PIL import Image
 from trimesh.exchange.gltf import export_glb
 from trimesh.visual.material import PBRMaterial
 
@@ -20,14 +20,17 @@ FAR_OFF = 16.0
 """Coordinates larger than so many diagonals of the mesh are written from its middle."""
 
 
-class _Encoded(Image.Image):
-    """A picture that is saved as the bytes it was encoded to, not once more."""
+@dataclasses.dataclass(frozen=True)
+class _EncodedPicture:
+    """What trimesh takes for an image: saved as it was encoded, not once more."""
 
+    format: str
     content: bytes
 
-    def save(self, fp: IO[bytes], format: str | None = None, **params: object) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        del format, params
-        fp.write(self.content)
+    def save(self, file: IO[bytes], format: str) -> None:
+        """Writes the bytes; the format is the one they have."""
+        del format
+        file.write(self.content)
 
 
 def save_textured_glb(
@@ -77,9 +80,7 @@ def textured_glb(textured: TexturedMesh, picture: PictureKind = "png") -> bytes:
 
 
 def _material(textured: TexturedMesh, picture: PictureKind) -> PBRMaterial:
-    image = _Encoded()
-    image.content = encode_picture(textured.texture, picture)
-    image.format = picture.upper()
+    image = _EncodedPicture(picture.upper(), encode_picture(textured.texture, picture))
     # Neither metal nor gloss: viewers show the texture much as it is.
     return PBRMaterial(
         name="textured",

@@ -58,7 +58,7 @@ def load_opencv(path: Path) -> dict[str, Camera]:
     except (cv2.error, SystemError) as error:
         raise InputError(
             f"{path.name} is not a YAML file that OpenCV reads; it should begin with "
-            "%YAML:1.0, and hold matrices of numbers."
+            "%YAML and be complete."
         ) from error
     finally:
         storage.release()
@@ -87,7 +87,19 @@ def _cameras(path: Path, cameras: cv2.FileNode) -> Iterator[tuple[str, Camera]]:
 
 def _matrix(entry: cv2.FileNode, key: str, where: str) -> np.ndarray:
     node = entry.getNode(key)
-    matrix = node.mat() if node.isMap() else None
-    if matrix is None:
+    # FileNode.mat() writes past its memory where rows or cols are missing or wrong, so
+    # the numbers are taken one by one.
+    sides = [node.getNode(side) for side in ("rows", "cols")] if node.isMap() else []
+    data = node.getNode("data") if node.isMap() else None
+    if data is None or not data.isSeq() or not all(side.isInt() for side in sides):
         raise InputError(f'{where}: "{key}" should be a matrix.')
-    return np.asarray(matrix, dtype=np.float64)
+    shape = tuple(int(side.real()) for side in sides)
+    values = [data.at(i) for i in range(data.size())]
+    if min(shape) < 1 or shape[0] * shape[1] != len(values):
+        raise InputError(
+            f'{where}: "{key}" should have {shape[0]} x {shape[1]} numbers, but has '
+            f"{len(values)}."
+        )
+    if not all(value.isInt() or value.isReal() for value in values):
+        raise InputError(f'{where}: "{key}" should hold numbers only.')
+    return np.reshape([value.real() for value in values], shape)
