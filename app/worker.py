@@ -20,6 +20,9 @@ log = logging.getLogger(__name__)
 MAX_QUICK_DEATHS = 3
 """Deaths in a row without a single event after which no new process is started."""
 
+PATIENCE_S = 5.0
+"""How long a process or thread that was told to end is waited for."""
+
 
 class Worker:
     """A warm worker process. Events arrive on a thread of this object, in order.
@@ -60,12 +63,14 @@ class Worker:
                 return
             self._closed = True
             self._jobs.put(None)
-            process = self._process
+            process, pump = self._process, self._pump
         process.terminate()
-        process.join(timeout=5.0)
+        process.join(timeout=PATIENCE_S)
         if process.is_alive():
             process.kill()
             process.join()
+        if pump is not threading.current_thread():
+            pump.join(timeout=PATIENCE_S)
 
     def _start(self) -> None:
         ours, theirs = self._context.Pipe()
@@ -77,12 +82,17 @@ class Worker:
         theirs.close()
         jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
         self._process, self._jobs = process, jobs
-        threading.Thread(
+        sender = threading.Thread(
             target=self._send_jobs, args=(ours, jobs), daemon=True, name="worker jobs"
-        ).start()
-        threading.Thread(
-            target=self._pump_events, args=(ours,), daemon=True, name="worker events"
-        ).start()
+        )
+        self._pump = threading.Thread(
+            target=self._pump_events,
+            args=(ours, jobs, sender),
+            daemon=True,
+            name="worker events",
+        )
+        sender.start()
+        self._pump.start()
 
     def _send_jobs(
         self, connection: Connection, jobs: queue.SimpleQueue[Job | None]
@@ -91,22 +101,30 @@ class Worker:
         while (job := jobs.get()) is not None:
             try:
                 connection.send(job)
-            except (OSError, ValueError, TypeError):
-                return  # Closed by the pump, perhaps in the midst of it.
+            except OSError:
+                return  # The process is gone.
 
-    def _pump_events(self, connection: Connection) -> None:
+    def _pump_events(
+        self,
+        connection: Connection,
+        jobs: queue.SimpleQueue[Job | None],
+        sender: threading.Thread,
+    ) -> None:
         while True:
             try:
                 events = [connection.recv()]
                 while connection.poll(0):
                     events.append(connection.recv())
             except (EOFError, OSError):
-                # Only this thread closes it: it would not survive another's doing so.
-                connection.close()
                 break
             self._deaths_in_a_row = 0
             for event in newest(events):
                 self._report(event)
+        # Closed when nobody uses it any more: the next pipe may get the same number,
+        # and the rest of a job would go to the new process.
+        jobs.put(None)
+        sender.join(timeout=PATIENCE_S)
+        connection.close()
         self._bury()
 
     def _report(self, event: Event) -> None:
@@ -118,11 +136,10 @@ class Worker:
             log.exception("%s was not handled", type(event).__name__)
 
     def _bury(self) -> None:
-        self._process.join(timeout=5.0)
+        self._process.join(timeout=PATIENCE_S)
         with self._lock:
             if self._closed:
                 return
-            self._jobs.put(None)
             self._deaths_in_a_row += 1
             exit_code = self._process.exitcode
             if self._deaths_in_a_row <= MAX_QUICK_DEATHS:
