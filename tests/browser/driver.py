@@ -57,9 +57,10 @@ def wait_until(
 class Driver:
     """One browser page on the app."""
 
-    def __init__(self, page: Page, address: str) -> None:
+    def __init__(self, page: Page, address: str, pixel_ratio: float = 1.0) -> None:
         self.page = page
-        page.goto(f"{address}/?fixedDpr=1")
+        # Else viser lowers the ratio on a slow machine while one measures.
+        page.goto(f"{address}/?fixedDpr={pixel_ratio:g}")
         page.wait_for_function(
             "() => window.__viserMutable?.requestRender"
             " && window.__viserTestpoints?.rendererInfo",

@@ -1,0 +1,175 @@
+"""The view through a photo is exact: the mesh covers its own picture, to the pixel."""
+
+import dataclasses
+import io
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from app.placement import rolled
+from app.session import setting
+from app.state import Document, PhotoEntry
+from photoreg.camera import Camera
+from photoreg.mesh import Mesh
+from photoreg.photo import Photo
+from photoreg.raster import render_geometry
+from photoreg.rock import rock_mesh
+from tests.browser.driver import Driver, wait_until
+
+WIDTH, HEIGHT, FINER = 960, 720, 3
+MAX_MEAN_PX, MAX_PX = 0.3, 1.0
+"""How far the two outlines may be apart, in pixels of the screen."""
+
+_GLOW = """() => {
+  const node = __viserMutable.nodeRefFromName['/clear/clay'];
+  let found = 0;
+  node.traverse(o => { if (o.isMesh && o.material.emissive) {
+    o.material.emissive.set(1, 1, 1); o.material.emissiveIntensity = 20;
+    found += 1; } });
+  __viserMutable.requestRender();
+  return found;
+}"""
+"""Makes the mesh evenly white, so that its outline is where half of that is reached."""
+
+
+def hard_camera() -> Camera:
+    """Principal point 60 px off the centre, fx != fy, rolled by 12 degrees."""
+    camera = Camera.look_at(
+        (1.8, 1.1, 3.4), (0.1, 0.05, 0), (0, 1, 0), 1000.0, WIDTH, HEIGHT
+    )
+    K = np.array([[1000.0, 0.0, 539.5], [0.0, 930.0, 299.5], [0.0, 0.0, 1.0]])
+    return rolled(dataclasses.replace(camera, K=K), 12.0)
+
+
+def silhouette_photo(mesh: Mesh, camera: Camera) -> Photo:
+    """The mesh white on black, its edges smooth."""
+    fine = camera.resized(FINER * WIDTH, FINER * HEIGHT)
+    inside = render_geometry(mesh, fine).face_index >= 0
+    grey = cv2.resize(
+        np.where(inside, 255, 0).astype(np.uint8),
+        (WIDTH, HEIGHT),
+        interpolation=cv2.INTER_AREA,
+    )
+    return Photo("white.png", np.repeat(grey[:, :, None], 3, axis=2))
+
+
+def outline(picture: np.ndarray) -> np.ndarray:
+    """Points (n, 2) where the picture passes through half of its brightness.
+
+    On the lines between pixel centres, by linear interpolation.
+    """
+    half = picture.astype(float) - 0.5 * np.percentile(picture, 99)
+    points = []
+    for axis in (0, 1):
+        a = half if axis == 0 else half.T
+        rows, columns = np.nonzero((a[1:] > 0.0) != (a[:-1] > 0.0))
+        share = a[rows, columns] / (a[rows, columns] - a[rows + 1, columns])
+        along = rows + share
+        points.append(
+            np.column_stack([columns, along] if axis == 0 else [along, columns])
+        )
+    return np.concatenate(points)
+
+
+def compare(mesh: np.ndarray, photo: np.ndarray) -> tuple[float, float]:
+    """Length of the mean offset between two closed outlines, and the largest distance.
+
+    The mean offset is the shift that explains the offsets across the outline best.
+    """
+    apart = mesh[:, None, :] - photo[None, :, :]
+    squared = (apart**2).sum(axis=2)
+    nearest = np.argmin(squared, axis=1)
+    # To the line through the nearest points: those lie up to half a pixel along it.
+    offsets, normals = [], []
+    for i, point in enumerate(mesh):
+        around = photo[((photo - photo[nearest[i]]) ** 2).sum(axis=1) < 3.0**2]
+        centre = around.mean(axis=0)
+        normal = np.linalg.svd(around - centre)[2][1]
+        offsets.append(float((point - centre) @ normal))
+        normals.append(normal)
+    shift = np.linalg.lstsq(np.array(normals), np.array(offsets), rcond=None)[0]
+    return float(np.linalg.norm(shift)), float(np.abs(offsets).max())
+
+
+def grab(driver: Driver) -> np.ndarray:
+    """The canvas as grey values, in the screen's pixels."""
+    driver.frames(4)
+    data = driver.page.screenshot(clip=driver.canvas())  # pyright: ignore[reportArgumentType]
+    return np.asarray(Image.open(io.BytesIO(data)).convert("L"))
+
+
+@pytest.fixture(scope="module")
+def scene():
+    mesh, camera = rock_mesh(seed=0, subdivisions=3), hard_camera()
+    return mesh, camera, silhouette_photo(mesh, camera)
+
+
+@pytest.fixture(scope="module")
+def app(open_app_once, scene):
+    mesh, camera, photo = scene
+    return open_app_once(Document(mesh, mesh, (PhotoEntry(photo, camera),)))
+
+
+@pytest.fixture
+def second_window(app, chromium):
+    """Another browser on the same app, with another window and finer pixels."""
+    window = chromium.new_page(
+        viewport={"width": 1500, "height": 560}, device_scale_factor=1.5
+    )
+    yield Driver(window, f"http://127.0.0.1:{app.page.port}", pixel_ratio=1.5)
+    window.close()
+
+
+def look_through(app, driver: Driver, camera: Camera) -> None:
+    """Looks through the photo and waits until the view has got there."""
+    driver.dismiss_toasts()
+    driver.tab("2 Align")
+    driver.click("Look through")
+    centre = app.page.scene.frame.to_page(camera.center)
+
+    def off() -> float:
+        driver.frames(1)
+        return float(np.abs(driver.viewport_camera()[0] - centre).max())
+
+    wait_until(lambda: off() < 1e-5, "the view is the photo's", 60)
+
+
+def outlines_apart(app, driver: Driver) -> tuple[float, float]:
+    """The photo's outline alone, then the mesh's over the photo blackened."""
+    entry = app.state.document.photos[0]
+    app.session.change(None, setting(mesh_opacity=0.0))
+    photo = outline(grab(driver))
+    black = dataclasses.replace(entry.photo, pixels=np.zeros_like(entry.photo.pixels))
+    app.session.change(
+        "Blacken", lambda state: with_photo(state, PhotoEntry(black, entry.camera))
+    )
+    app.session.change(None, setting(mesh_opacity=1.0))
+    driver.frames(4)
+    assert driver.page.evaluate(_GLOW) == 1
+    mesh = outline(grab(driver))
+    app.session.undo()
+    assert min(len(photo), len(mesh)) > 300
+    return compare(mesh, photo)
+
+
+def with_photo(state, entry: PhotoEntry):
+    document = dataclasses.replace(state.document, photos=(entry,))
+    return dataclasses.replace(state, document=document)
+
+
+@pytest.mark.parametrize("shape", ["tall", "wide and fine"])
+def test_through_a_photo_the_mesh_covers_its_picture_to_the_pixel(
+    app, scene, shape, request
+):
+    driver = app.driver
+    if shape != "tall":
+        driver = request.getfixturevalue("second_window")
+    look_through(app, driver, scene[1])
+    canvas = driver.canvas()
+    mean, largest = outlines_apart(app, driver)
+    print(f"canvas {canvas}: mean offset {mean:.3f} px, largest {largest:.3f} px")
+    assert (canvas["width"] > canvas["height"]) == (shape != "tall")
+    assert mean <= MAX_MEAN_PX, f"mean {mean:.3f} px, largest {largest:.3f} px"
+    assert largest <= MAX_PX, f"mean {mean:.3f} px, largest {largest:.3f} px"
