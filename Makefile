@@ -6,7 +6,7 @@ BIN := .venv/bin
 DATA ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-slow check format bench screenshots clean
+.PHONY: help run test test-slow test-interop check format bench screenshots clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -20,7 +20,10 @@ test: .venv/.stamp-dev ## Run all tests that are not marked slow, the browser's 
 
 test-slow: .venv/.stamp-dev ## Run the tests marked slow (minutes)
 	@$(BIN)/python tests/browser/ensure_chromium.py
-	$(BIN)/pytest -m slow
+	$(BIN)/pytest -m slow --ignore tests/interop
+
+test-interop: .venv/.stamp-interop ## Let COLMAP, MeshLab, Open3D and Blender read our files
+	PHOTOREG_BLENDER=.venv/blender/bin/python .venv/interop/bin/pytest -m slow -p no:dash tests/interop
 
 check: .venv/.stamp-dev ## Lint, formatting, types, import layers
 	$(BIN)/ruff check .
@@ -58,4 +61,14 @@ clean: ## Remove the environment and what tools left behind
 .venv/.stamp-dev: .venv/.stamp-app pyproject.toml
 	@echo "Installing the test tools into .venv (once) ..."
 	@$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+# Environments of their own: Open3D brings a web server and a pytest plugin that breaks
+# ours, Blender another numpy.
+.venv/.stamp-interop: .venv/.stamp-dev pyproject.toml
+	@echo "Installing COLMAP, MeshLab, Open3D and Blender for the tests (once; 2 GB) ..."
+	@$(PYTHON) -m venv .venv/interop
+	@.venv/interop/bin/pip install --quiet --disable-pip-version-check --editable '.[dev,interop]'
+	@$(PYTHON) -m venv .venv/blender
+	@.venv/blender/bin/pip install --quiet --disable-pip-version-check bpy
 	@touch $@

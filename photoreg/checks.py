@@ -46,7 +46,7 @@ def check_finite_array(values: object, shape: tuple[int, ...], name: str) -> np.
     """
     try:
         array = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(
             f"{name} should be numbers of shape {shape}, but could not be read as "
             f"numbers ({error})."

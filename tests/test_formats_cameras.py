@@ -68,7 +68,8 @@ def test_the_names_of_formats_are_those_of_the_registry():
 def test_projections_survive_a_round_trip(tmp_path, photos, name):
     cameras = camera_set(photos)
     path, saved = write(tmp_path, name, cameras)
-    assert saved.losses == []
+    # COLMAP itself cuts names at spaces in text; photoreg does not.
+    assert len(saved.losses) == (3 if name == "colmap-text" else 0), saved.losses
     read = read_cameras(path, photos=cameras.photos.values())
     assert set(read.cameras) == set(NAMES)
     for photo, camera in cameras.cameras.items():
@@ -91,9 +92,10 @@ def test_skew_is_kept_or_its_loss_is_told(tmp_path, photos, name):
         assert saved.losses == []
         assert moved < 1e-6, moved
     else:
-        assert len(saved.losses) == 3
-        assert "skew of 2.5 px, which cannot be folded" in saved.losses[0]
-        told = max(float(loss.split(" px.")[0].split()[-1]) for loss in saved.losses)
+        losses = [loss for loss in saved.losses if "skew" in loss]
+        assert len(losses) == 3
+        assert "skew of 2.5 px, which cannot be folded" in losses[0]
+        told = max(float(loss.split(" px.")[0].split()[-1]) for loss in losses)
         assert told == pytest.approx(moved, rel=0.05)
 
 
@@ -375,6 +377,17 @@ BAD_TEXT: list[tuple[str, str, str]] = [
     ("transforms.json", '{"frames": [', "is not a JSON file"),
     ("transforms.json", '{"frames": [1]}', "frame 1 should be an object"),
     ("transforms.json", '{"frames": []}', "has no cameras"),
+    (
+        "transforms.json",
+        '{"w": 9, "h": 9, "fl_x": 9, "frames": [{"file_path": "a.jpg", '
+        f'"transform_matrix": [[1{"0" * 400}]]}}]}}',
+        "could not be read as numbers",
+    ),
+    (
+        "transforms.json",
+        f'{{"w": 1{"0" * 400}, "h": 9, "fl_x": 9, "frames": [{{"file_path": "a.jpg"}}]}}',
+        "width should be a number",
+    ),
     ("a.mlp", "<MeshLabDocument>", "is not XML"),
     ("a.mlp", "<html/>", "is not a MeshLab project"),
     (

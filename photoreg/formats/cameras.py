@@ -91,7 +91,7 @@ CAMERA_FORMATS: dict[str, CameraFormat] = {
             "colmap-text",
             "folder",
             _POSE,
-            "It loses skew.",
+            "It loses skew, and photo names after their first space.",
             save_colmap_text,
             lambda path, _: load_colmap_text(path),
         ),

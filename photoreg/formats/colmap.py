@@ -108,6 +108,11 @@ def save_colmap_text(folder: Path, cameras: CameraSet) -> Saved:
     for i, (name, camera) in enumerate(cameras.cameras.items(), start=1):
         camera, lost = without(name, camera, "COLMAP", "skew")
         losses += lost
+        if " " in name:
+            losses.append(
+                f"{name} loses all after its first space when COLMAP reads the text; "
+                "write the binary model instead."
+            )
         lens = " ".join(map(repr, _pinhole(camera)))
         pose = " ".join(map(repr, [*_quaternion(camera), *camera.t_cam_world.tolist()]))
         lenses.append(f"{i} PINHOLE {camera.width} {camera.height} {lens}\n")

@@ -9,9 +9,10 @@ Padding is transparent, which MeshLab's projections can heed, and undone on read
 its measures stand in the copy's name, the photo's own name in the label.
 """
 
+import functools
 import io
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -71,7 +72,7 @@ def save_meshlab(path: Path, cameras: CameraSet) -> Saved:
         matrix = ElementTree.SubElement(mesh, "MLMatrix44")
         matrix.text = _rows(np.eye(4))
     rasters = ElementTree.SubElement(document, "RasterGroup")
-    contents: dict[Path, bytes | str] = {path: ""}
+    contents: dict[Path, bytes | str | Callable[[], bytes]] = {path: ""}
     losses = []
     for name, camera in cameras.cameras.items():
         camera, lost = without(name, camera, "MeshLab", "skew")
@@ -97,7 +98,10 @@ def save_meshlab(path: Path, cameras: CameraSet) -> Saved:
             file = (
                 f"{Path(name).stem}.padded.{x}.{y}.{camera.width}x{camera.height}.png"
             )
-            contents[path.with_name(file)] = _padded_png(photo, padded, corner)
+            # Not all of them in memory at once.
+            contents[path.with_name(file)] = functools.partial(
+                _padded_png, photo, padded, corner
+            )
         raster = ElementTree.SubElement(rasters, "MLRaster", label=name)
         raster.append(_vcg_camera(padded))
         ElementTree.SubElement(raster, "Plane", semantic="1", fileName=file)

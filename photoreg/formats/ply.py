@@ -65,8 +65,9 @@ def save_coloured_ply(path: Path | str, textured: TexturedMesh) -> list[Path]:
     """
     path = check_output_file(Path(path), (".ply",))
     vertices = _vertices(textured, _POINT + _COLOUR)
+    colours = vertex_colours(textured)
     for i, (channel, _) in enumerate(_COLOUR):
-        vertices[channel] = vertex_colours(textured)[:, i]
+        vertices[channel] = colours[:, i]
     faces = np.zeros(len(textured.faces), dtype=np.dtype(_FACE))
     faces["n"], faces["vertex_indices"] = 3, textured.faces
     header = _header(vertices, faces)

@@ -1,17 +1,20 @@
 """Files written together: all of them, or none and the old ones stay."""
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from photoreg.checks import check_output_file
 from photoreg.errors import OutputError
 
 
-def write_files(contents: Mapping[Path, bytes | str]) -> list[Path]:
+def write_files(
+    contents: Mapping[Path, bytes | str | Callable[[], bytes]],
+) -> list[Path]:
     """Writes files whole or not at all; text as UTF-8.
 
-    The first is the one that refers to the others, and is put in place last.
+    The first is the one that refers to the others, and is put in place last. What is
+    large can be given as a function, called when its turn has come.
 
     Raises:
         OutputError: if one cannot be written.
@@ -22,6 +25,8 @@ def write_files(contents: Mapping[Path, bytes | str]) -> list[Path]:
     try:
         for path, partial in partials.items():
             content = contents[path]
+            if callable(content):
+                content = content()
             partial.write_bytes(
                 content.encode() if isinstance(content, str) else content
             )
