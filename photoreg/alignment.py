@@ -105,6 +105,7 @@ def polish_cameras(
     config: PolishConfig | None = None,
     seed: int = 0,
     box_scale: float = 1.0,
+    start_disagreement: float | None = None,
 ) -> Iterator[PolishStep]:
     """Moves all cameras at once to where the photos agree on the surface.
 
@@ -116,6 +117,7 @@ def polish_cameras(
         config: Settings; None: the defaults.
         seed: Of the sampling.
         box_scale: Factor on the prior's intervals.
+        start_disagreement: ``agreement.disagreement`` of ``cameras``, if known.
 
     Raises:
         InputError: if photos, cameras and priors are not of one number.
@@ -171,19 +173,22 @@ def polish_cameras(
                 )
                 yield latest
     assert latest is not None  # A configuration has at least one level and round.
-    yield _better_end(mesh, photos, cameras, x_start, latest, config)
+    before = start_disagreement
+    if before is None:
+        before = disagreement(mesh, photos, cameras, config.min_cosine)
+    yield _better_end(mesh, photos, cameras, before, x_start, latest, config)
 
 
 def _better_end(
     mesh: Mesh,
     photos: Sequence[Photo],
     cameras: Sequence[Camera],
+    before: float,
     x_start: np.ndarray,
     latest: PolishStep,
     config: PolishConfig,
 ) -> PolishStep:
     """The polished cameras, or those it started from where they fit better."""
-    before = disagreement(mesh, photos, cameras, config.min_cosine)
     after = disagreement(mesh, photos, latest.cameras, config.min_cosine)
     if after <= before:
         return dataclasses.replace(

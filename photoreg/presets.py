@@ -24,14 +24,6 @@ length, principal point, turn and place is wrong."""
 REDUCED_PHOTOS = ConsistencyConfig(max_side_px=512, blur_px=1.5)
 """Photos reduced and blurred: the search only has to find the basin of the polish."""
 
-JUDGE = ConsistencyConfig(
-    cost="mncc", max_side_px=1024, blur_px=1.0, min_cosine=0.35, min_share=0.25
-)
-"""How start and answer are compared where a polish follows the search. Patterns of
-patches hold when the light moved between the photos, where colour differences do not:
-over all sets tried, with rough starts 10 to 25 px off, the true cameras cost 0.09 to
-0.88 of the start by this, but up to 1.13 of it by colours."""
-
 SHORT_SEARCH = GeneticConfig(
     population=300,
     generations=100,

@@ -6,11 +6,15 @@ import numba as nb
 import numpy as np
 import pytest
 
+from photoreg import registration
+from photoreg.agreement import disagreement
+from photoreg.alignment import PolishConfig
 from photoreg.camera import Camera
 from photoreg.errors import InputError, RefinementError
 from photoreg.evaluate import projection_error
 from photoreg.genetic import GeneticConfig
 from photoreg.registration import Finished, Progress, RegistrationConfig, refine
+from photoreg.rough import rough_start
 from tests.scenes import small_scene
 
 SEARCH = dataclasses.replace(
@@ -57,6 +61,42 @@ def test_the_default_preset_finds_the_cameras():
     assert after < 0.5 < 4.0 < before, (before, after)
     phases = {event.phase for event in events if isinstance(event, Progress)}
     assert phases == {"prepare", "search", "polish"}
+
+
+def test_a_search_that_misleads_is_not_followed(monkeypatch):
+    scene = small_scene()
+    lost = tuple(rough_start(scene.mesh, scene.cameras, (30.0, 40.0), seed=5))
+
+    def misled(self, consistency, gene_map):
+        self.best = lost
+        return iter(())
+
+    monkeypatch.setattr(registration._Run, "_search", misled)
+    last = end(RegistrationConfig.preset("default"))
+    after = projection_error(scene.mesh, scene.cameras, last.cameras).mean
+    assert after < 0.5, after
+
+
+def test_a_doubtful_polish_is_tried_from_the_other_side_too(monkeypatch):
+    scene = small_scene()
+    starts = []
+    original = registration.polish_cameras
+
+    def watched(mesh, photos, cameras, *rest):
+        starts.append(cameras)
+        return original(mesh, photos, cameras, *rest)
+
+    monkeypatch.setattr(registration, "polish_cameras", watched)
+    monkeypatch.setattr(registration, "CONVINCING", 0.0)
+    quick = PolishConfig(blurs_px=(2.0,), points=(500,), rounds=(1,), iterations=2)
+    last = end(dataclasses.replace(SEARCH, polish_after=True, polish=quick))
+    assert len(starts) == 2
+    assert any(same_cameras(start, scene.rough_cameras) for start in starts)
+    costs = [
+        disagreement(scene.mesh, scene.photos, start, quick.min_cosine)
+        for start in starts
+    ]
+    assert last.cost <= min(costs), (last.cost, costs)
 
 
 def test_the_last_event_is_finished_and_the_only_one():
