@@ -1,6 +1,7 @@
 """Tab 2, Align: bring each camera roughly into place by hand."""
 
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 import viser
@@ -8,7 +9,7 @@ import viser
 from app.conductor import Conductor
 from app.controls import guarded, put, put_value
 from app.panel_data import index_of, photo_options
-from app.placement import first_camera, rolled, with_focal
+from app.placement import first_camera, nudged, rolled, with_focal
 from app.session import select, setting, with_entry
 from app.state import State
 from app.viewport import Viewport
@@ -21,6 +22,25 @@ FILM_RANGE_MM = (12.0, 200.0)
 FILM_DIAGONAL_MM = 43.27
 
 ROLL_STEP_DEG = 0.25
+Key = Literal["J", "L", "I", "K", "N", "M", "U", "O"]
+NUDGE_SHARE = 1.0 / 640.0
+"""A nudge moves the object by so much of the photo's longer side."""
+
+NEARER_SHARE = 0.005
+
+NUDGES: tuple[tuple[Key, str, float, float, float, float], ...] = (
+    ("J", "left", -1.0, 0.0, 0.0, 0.0),
+    ("L", "right", 1.0, 0.0, 0.0, 0.0),
+    ("I", "up", 0.0, -1.0, 0.0, 0.0),
+    ("K", "down", 0.0, 1.0, 0.0, 0.0),
+    ("N", "nearer", 0.0, 0.0, 1.0, 0.0),
+    ("M", "farther", 0.0, 0.0, -1.0, 0.0),
+    ("U", "turned left", 0.0, 0.0, 0.0, -1.0),
+    ("O", "turned right", 0.0, 0.0, 0.0, 1.0),
+)
+"""Key, where the object goes in the photo, and steps right, down, nearer and of roll.
+The letters that viser leaves free; W, A, S, D, Q, E and the arrows move the view."""
+
 ViewportOf = Callable[[int], Viewport | None]
 
 FREE, THROUGH = "Free view", "Look through"
@@ -68,7 +88,11 @@ class AlignPanel:
         self._reset = gui.add_button(
             "Reset this camera", icon=viser.Icon.HOME, color="gray"
         )
-        gui.add_markdown("Ctrl+Z takes a step back, Ctrl+Shift+Z does it again.")
+        gui.add_markdown(
+            "Keys, hold to repeat: **J L I K** move the object in the photo, **N M** "
+            "bring it nearer or farther, **U O** turn it. Ctrl+Z undoes, Ctrl+Shift+Z "
+            "redoes."
+        )
         self._roll_gesture = 0
         self._focal_gesture = 0
 
@@ -115,6 +139,9 @@ class AlignPanel:
                 px_per_mm = 1.0 / film_mm(entry.camera, 1.0)
                 self._set_focal(self._slider.value * px_per_mm, 0.06 * px_per_mm)
 
+        for key, where, *steps in NUDGES:
+            self._bind_nudge(gui, key, where, steps)
+
         for button, sign in ((self._left, -1.0), (self._right, 1.0)):
             self._bind_roll(button, sign * ROLL_STEP_DEG)
 
@@ -155,6 +182,34 @@ class AlignPanel:
                 f"Roll camera {index + 1}",
                 with_entry(index, camera=rolled(entry.camera, step_deg)),
                 ("roll", index, step_deg),
+            )
+
+    def _bind_nudge(
+        self, gui: viser.GuiApi, key: Key, where: str, steps: list[float]
+    ) -> None:
+        session = self._session
+        command = gui.add_command(f"Nudge the object {where}", hotkey=key)
+        right, down, nearer, roll = steps
+
+        @command.on_trigger
+        @guarded
+        def _(_: viser.CommandEvent) -> None:
+            state, index = session.state, session.state.selected
+            entry, mesh = state.selected_photo, state.document.mesh
+            if entry is None or mesh is None or state.run.status != "idle":
+                return
+            step_px = NUDGE_SHARE * max(entry.photo.width, entry.photo.height)
+            camera = nudged(
+                rolled(entry.camera, roll * ROLL_STEP_DEG),
+                mesh.bounds.mean(axis=0),
+                right * step_px,
+                down * step_px,
+                nearer * NEARER_SHARE,
+            )
+            session.change(
+                f"Nudge camera {index + 1}",
+                with_entry(index, camera=camera),
+                ("nudge", index),
             )
 
     def _set_focal(self, focal_px: float, tolerance_px: float) -> None:

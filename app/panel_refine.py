@@ -172,7 +172,7 @@ class OverlayPanel:
             scales={"x": {"time": False}, "y": {"distr": 3}},
             axes=(
                 {"stroke": INK, "grid": {"stroke": GRID}},
-                {"stroke": INK, "grid": {"stroke": GRID}, "size": 58},
+                {"stroke": INK, "grid": {"stroke": GRID}, "ticks": NO_DOTS, "size": 58},
             ),
             legend={"show": False},
             padding=(10, 14, 0, 0),

@@ -21,6 +21,9 @@ FRAME_SHARE = 0.8
 STEP_ASIDE_DEG = 20.0
 """How far apart first cameras stand, seen from the object."""
 
+FRUSTUM_WIDTH = 1.1
+"""Diagonal of the photo in a frustum, in page units (the mesh's diagonal is 2)."""
+
 
 @dataclasses.dataclass(frozen=True)
 class DisplayFrame:
@@ -140,6 +143,41 @@ def rolled(camera: Camera, angle_deg: float) -> Camera:
         R_cam_world=roll @ camera.R_cam_world,
         t_cam_world=roll @ camera.t_cam_world,
     )
+
+
+def nudged(
+    camera: Camera, anchor: np.ndarray, right_px: float, down_px: float, nearer: float
+) -> Camera:
+    """The camera moved so that ``anchor`` moves by so many pixels in the photo.
+
+    Args:
+        camera: The camera; it keeps its directions.
+        anchor: A world point before the camera, such as the object's centre.
+        right_px: Pixels that the anchor moves to the right.
+        down_px: Pixels that it moves downwards.
+        nearer: Share of its depth by which it comes nearer after that.
+
+    Raises:
+        InputError: if the anchor is not in front of the camera.
+    """
+    at = camera.to_camera(anchor[None])[0]
+    if not at[2] > 0.0:
+        raise InputError(
+            "The object is behind this camera. Turn the camera towards it first."
+        )
+    way = np.linalg.solve(camera.K, (right_px, down_px, 0.0)) * at[2]
+    moved = (at + way) * (1.0 - nearer)
+    return dataclasses.replace(camera, t_cam_world=camera.t_cam_world + moved - at)
+
+
+def frustum_corners(camera: Camera) -> np.ndarray:
+    """Corners of the photo in camera axes, (4, 3), in page units, from top left."""
+    right, bottom = camera.width - 0.5, camera.height - 0.5
+    pixels = np.array(
+        [[-0.5, -0.5, 1], [right, -0.5, 1], [right, bottom, 1], [-0.5, bottom, 1]]
+    )
+    corners = pixels @ np.linalg.inv(camera.K).T
+    return corners * (FRUSTUM_WIDTH / np.linalg.norm(corners[2] - corners[0]))
 
 
 def up_of(cameras: tuple[Camera, ...]) -> tuple[float, float, float] | None:

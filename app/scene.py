@@ -12,7 +12,7 @@ import viser
 import viser.transforms as vtf
 
 from app.controls import put
-from app.placement import DisplayFrame
+from app.placement import DisplayFrame, frustum_corners
 from app.state import PhotoEntry, State
 from photoreg.camera import Camera
 from photoreg.mesh import Mesh
@@ -22,9 +22,6 @@ SELECTED_COLOUR = (45, 190, 175)
 FRUSTUM_COLOUR = (140, 150, 170)
 GHOST_COLOUR = (120, 120, 130)
 IMAGE_SIDE_PX = 640
-FRUSTUM_WIDTH = 0.9
-"""Diagonal of the photo in a frustum, in page units (the mesh's diagonal is 2)."""
-
 GIZMO_PX = 105.0
 N_OUTWARD_RAYS = 400
 OUTWARD_SHARE = 0.96
@@ -259,16 +256,6 @@ def outward_faces(mesh: Mesh) -> np.ndarray | None:
     if facing.mean() > OUTWARD_SHARE:
         return mesh.faces
     return mesh.faces[:, ::-1] if facing.mean() < 1.0 - OUTWARD_SHARE else None
-
-
-def frustum_corners(camera: Camera) -> np.ndarray:
-    """Corners of the photo in camera axes, (4, 3), in page units, from top left."""
-    right, bottom = camera.width - 0.5, camera.height - 0.5
-    pixels = np.array(
-        [[-0.5, -0.5, 1], [right, -0.5, 1], [right, bottom, 1], [-0.5, bottom, 1]]
-    )
-    corners = pixels @ np.linalg.inv(camera.K).T
-    return corners * (FRUSTUM_WIDTH / np.linalg.norm(corners[2] - corners[0]))
 
 
 def frustum_lines(apex: np.ndarray, corners: np.ndarray) -> np.ndarray:

@@ -14,31 +14,32 @@ import numpy as np
 import viser
 import viser.transforms as vtf
 
+from app.home_view import home_view
 from app.placement import DisplayFrame
-from app.scene import Scene, frustum_corners
+from app.scene import Scene
 from app.session import Session, with_entry
 from app.state import State
 from photoreg.camera import Camera
 
-FREE_FOV = np.radians(24.0)
+FREE_FOV = np.radians(14.0)
+"""Narrow, so that the object is not dwarfed by the cameras that stand before it."""
+
 LONG_LOOK = 10.0
 ECHO_TOLERANCE = 1e-6
 """The browser answers a pose with itself, to 1e-15; a hand moves it by more."""
 
-SETTLE_S = 2.0
+SETTLE_S = 10.0
 """After a pose was set the view glides there, on a slow machine for a while. Until it
 has arrived, or for so long, what it reports is not the user's doing."""
 
 GESTURE_PAUSE_S = 0.7
 """A rest of this length ends a gesture; what follows is another undo step."""
 
-BACKDROP = (38, 41, 48)
+SURROUND = {True: (38, 41, 48), False: (229, 232, 237)}
+"""Around the photo that is looked through, on a dark and on a light page."""
+
 MAX_BACKGROUND_PX = 1600
 FIT = 0.97
-
-HOME_AZIMUTHS_DEG = (-78.0, -60.0, -44.0, -32.0, -24.0, 24.0, 32.0, 44.0, 60.0, 78.0)
-HOME_ELEVATIONS_DEG = (12.0, 20.0, 28.0, 36.0)
-HOME_SHARE = 0.9
 
 Mode = Literal["free", "move", "inspect"]
 
@@ -111,7 +112,7 @@ class Viewport:
         """The view from which mesh and cameras are all seen."""
         camera = self.client.camera
         aspect = camera.image_width / max(camera.image_height, 1)
-        position, look_at = home_view(state, self._scene.frame, aspect)
+        position, look_at = home_view(state, self._scene.frame, FREE_FOV, aspect)
         self._at_home = (position, aspect)
         with self.client.atomic():
             _place(self.client, position, look_at, np.array(state.document.up))
@@ -179,14 +180,16 @@ class Viewport:
             round(view.image_height * scale),
         )
         K = entry.camera.K
-        key = (id(entry.photo), width, height, K.tobytes())
+        key = (id(entry.photo), width, height, K.tobytes(), state.dark)
         if key == self._background:
             return
         self._background = key
         focal = fitting_focal(entry.camera, width, height)
         photo = entry.photo.resized(MAX_BACKGROUND_PX)
         camera = entry.camera.resized(photo.width, photo.height)
-        warped = warped_photo(photo.pixels, camera, focal, width, height)
+        warped = warped_photo(
+            photo.pixels, camera, focal, width, height, SURROUND[state.dark]
+        )
         with self.client.atomic():
             view.fov = 2.0 * np.arctan(0.5 * height / focal)
             self.client.scene.set_background_image(
@@ -210,7 +213,7 @@ class Viewport:
             moved = self._scene.frame.with_pose(
                 entry.camera, rotation, np.array(view.position)
             )
-            if _is_echo(self._scene.frame, moved, entry.camera):
+            if _apart(self._scene.frame, moved, entry.camera) < ECHO_TOLERANCE:
                 self._settling_until = 0.0
                 return
             if now < self._settling_until:
@@ -248,10 +251,10 @@ def backdrop(dark: bool) -> np.ndarray:
     return np.repeat(np.rint(column).astype(np.uint8), 8, axis=1)
 
 
-def _is_echo(frame: DisplayFrame, moved: Camera, camera: Camera) -> bool:
-    turn = np.abs(moved.R_cam_world - camera.R_cam_world).max()
-    way = np.abs(moved.center - camera.center).max() * frame.scale
-    return bool(turn < ECHO_TOLERANCE and way < ECHO_TOLERANCE)
+def _apart(frame: DisplayFrame, first: Camera, second: Camera) -> float:
+    """How far apart two poses are, in units of the page and of the rotation's entries."""
+    turn = np.abs(first.R_cam_world - second.R_cam_world).max()
+    return float(turn + np.abs(first.center - second.center).max() * frame.scale)
 
 
 def _place(
@@ -279,7 +282,12 @@ def fitting_focal(camera: Camera, width: int, height: int) -> float:
 
 
 def warped_photo(
-    pixels: np.ndarray, camera: Camera, focal: float, width: int, height: int
+    pixels: np.ndarray,
+    camera: Camera,
+    focal: float,
+    width: int,
+    height: int,
+    around: tuple[int, int, int] = SURROUND[True],
 ) -> np.ndarray:
     """The photo as a camera with centred principal point and square pixels sees it.
 
@@ -296,74 +304,5 @@ def warped_photo(
         (width, height),
         flags=cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_CONSTANT,
-        borderValue=BACKDROP,
+        borderValue=around,
     )
-
-
-def home_view(
-    state: State, frame: DisplayFrame, aspect: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Position and target, in page axes, from which everything is in the frame.
-
-    From behind the cameras, to their side and above, so that the object's front and
-    what the cameras look at are seen together; of several such views the one in which
-    the object appears largest in a canvas of this shape.
-    """
-    up = np.array(state.document.up)
-    box = np.array([[-0.58, -0.58, -0.58], [0.58, 0.58, 0.58]])
-    if state.document.mesh is not None:
-        box = frame.to_page(state.document.mesh.bounds)
-    cloud = [
-        np.array([x, y, z]) for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]
-    ]
-    toward = np.zeros(3)
-    for entry in state.document.photos:
-        rotation, position = frame.pose(entry.camera)
-        cloud.append(position)
-        cloud.extend(frustum_corners(entry.camera) @ rotation.T + position)
-        toward += position / max(float(np.linalg.norm(position)), 1e-9)
-    toward -= up * (toward @ up)
-    if np.linalg.norm(toward) < 0.1:
-        toward = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
-    toward /= np.linalg.norm(toward)
-    aside = np.cross(up, toward)
-    views = []
-    for azimuth in np.radians(HOME_AZIMUTHS_DEG):
-        for elevation in np.radians(HOME_ELEVATIONS_DEG):
-            level = np.cos(azimuth) * toward + np.sin(azimuth) * aside
-            direction = np.cos(elevation) * level + np.sin(elevation) * up
-            views.append(_fitting_view(np.array(cloud), direction, up, aspect))
-    _, position, target = min(views, key=lambda view: view[0])
-    return position, target
-
-
-def _fitting_view(
-    cloud: np.ndarray, direction: np.ndarray, up: np.ndarray, aspect: float
-) -> tuple[float, np.ndarray, np.ndarray]:
-    """A view that just holds all points, centred: its badness, position and target.
-
-    Badness is the distance from the object, whose box is the first 8 points, and half
-    as much again where a camera stands before it.
-    """
-    right = np.cross(up, direction)
-    right /= np.linalg.norm(right)
-    above = np.cross(direction, right)
-    tan_y = HOME_SHARE * np.tan(0.5 * FREE_FOV)
-    tan_x = tan_y * aspect
-    target, distance, x, y = cloud.mean(axis=0), 1.0, cloud[:, 0], cloud[:, 1]
-    # In turn: the distance that fits, then the target amid what is seen from there.
-    for _ in range(8):
-        x, y, z = np.stack([right, above, direction]) @ (cloud - target).T
-        distance = float(
-            max((np.abs(x) / tan_x + z).max(), (np.abs(y) / tan_y + z).max())
-        )
-        x, y = x / (distance - z), y / (distance - z)
-        target = target + 0.5 * distance * (
-            (x.max() + x.min()) * right + (y.max() + y.min()) * above
-        )
-    within = (
-        np.abs(x[8:] - np.mean([x[:8].min(), x[:8].max()])) < 0.5 * np.ptp(x[:8])
-    ) & (np.abs(y[8:] - np.mean([y[:8].min(), y[:8].max()])) < 0.5 * np.ptp(y[:8]))
-    position = target + distance * direction
-    badness = float(np.linalg.norm(position)) * (1.5 if within.any() else 1.0)
-    return badness, position, target

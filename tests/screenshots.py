@@ -3,9 +3,11 @@
 Drives the demo in Chromium as a person would and writes docs/*.png.
 """
 
+import io
 import sys
 from pathlib import Path
 
+from PIL import Image
 from playwright.sync_api import sync_playwright
 
 from app.conductor import Conductor
@@ -16,6 +18,8 @@ from app.state import State
 from tests.browser.driver import Driver, launch, wait_until
 
 FOLDER = Path(__file__).parents[1] / "docs"
+MAX_BYTES = 350_000
+"""Pictures above this are reduced to 256 colours."""
 
 
 def main() -> int:
@@ -73,8 +77,13 @@ def picture(driver: Driver, name: str, settle: bool = True) -> None:
     """Writes what is on screen."""
     if settle:
         driver.frames(6)
-    driver.page.screenshot(path=FOLDER / f"{name}.png")
-    print(f"docs/{name}.png")
+    data = driver.page.screenshot()
+    path = FOLDER / f"{name}.png"
+    whole = Image.open(io.BytesIO(data)).convert("RGB")
+    whole.save(path, optimize=True)
+    if path.stat().st_size > MAX_BYTES:
+        whole.quantize(256).save(path, optimize=True)
+    print(f"docs/{path.name}: {path.stat().st_size / 1e3:.0f} kB")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from app.opening import open_files, open_folder
-from app.placement import DisplayFrame, first_camera, rolled, up_of, with_focal
+from app.placement import (
+    DisplayFrame,
+    first_camera,
+    nudged,
+    rolled,
+    up_of,
+    with_focal,
+)
 from app.viewport import fitting_focal, warped_photo
 from app.warm_up import toy_scene
 from photoreg.camera import Camera
@@ -86,6 +93,20 @@ def test_roll_turns_about_the_principal_point_and_stays_in_place(camera):
     assert turned.center == pytest.approx(camera.center)
     axis = camera.center + camera.R_cam_world[2] * 5.0
     assert turned.project(axis[None])[0] == pytest.approx(camera.K[:2, 2])
+
+
+def test_a_nudge_moves_the_object_by_its_pixels_and_nothing_else(camera):
+    centre = np.array([0.2, 0.1, 0.0])
+    moved = nudged(camera, centre, 3.0, -2.0, 0.0)
+    way = moved.project(centre[None])[0] - camera.project(centre[None])[0]
+    assert way == pytest.approx((3.0, -2.0), abs=1e-9)
+    assert np.array_equal(moved.R_cam_world, camera.R_cam_world)
+    nearer = nudged(camera, centre, 0.0, 0.0, 0.1)
+    before, after = camera.to_camera(centre[None])[0], nearer.to_camera(centre[None])[0]
+    assert after == pytest.approx(0.9 * before), "nearer, at the same pixel"
+    behind = camera.center - 5.0 * camera.R_cam_world[2]
+    with pytest.raises(InputError, match="behind"):
+        nudged(camera, behind, 1.0, 0.0, 0.0)
 
 
 def test_poses_survive_the_way_to_the_page_and_back(mesh, camera):

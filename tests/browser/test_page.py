@@ -86,6 +86,27 @@ def test_undo_and_redo_by_keyboard_and_by_named_buttons(app, toy_document):
     assert same_camera(app.state.document.photos[1].camera, entry.camera)
 
 
+def test_keys_nudge_the_camera_and_a_held_key_is_one_undo_step(app, toy_document):
+    driver, before = app.driver, app.state.document
+    driver.tab("2 Align")
+    centre = before.mesh.bounds.mean(axis=0)[None]
+
+    def way() -> np.ndarray:
+        now, then = (d.photos[0].camera for d in (app.state.document, before))
+        return now.project(centre)[0] - then.project(centre)[0]
+
+    step_px = 160 / 640
+    for n in (1, 2, 3):
+        driver.page.keyboard.press("l")
+        wait_until(lambda n=n: abs(way()[0] - n * step_px) < 1e-9, f"nudge {n}", 20)
+    driver.page.keyboard.press("k")
+    wait_until(lambda: abs(way()[1] - step_px) < 1e-9, "a nudge downwards", 20)
+    assert abs(way()[0] - 3 * step_px) < 1e-9
+    assert app.state.undo_name == "Nudge camera 1"
+    driver.page.keyboard.press("Control+z")
+    wait_until(lambda: app.state.document is before, "one step back undoes all", 20)
+
+
 def test_a_text_file_named_jpg_becomes_a_message_and_changes_nothing(
     app, toy_document, tmp_path
 ):
