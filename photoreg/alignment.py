@@ -20,7 +20,7 @@ from photoreg.photometric import (
     prepare_photo,
     surface_view,
 )
-from photoreg.polish import Damping, Prior, minimise
+from photoreg.polish import Damping, Prior, minimise, total
 from photoreg.silhouette import OUTLINE_SIGMA_PX, RimTerm, find_edges, find_rim
 
 
@@ -86,7 +86,8 @@ class PolishStep:
     x: Float[np.ndarray, "p"]
     """Nine increments a camera, in units of the prior."""
     normal: Float[np.ndarray, "p p"]
-    """Normal matrix of the cost at x, in the same units."""
+    """Normal matrix of the cost at x, in the same units; of the last step with all that
+    makes residuals dependent taken off, so that its inverse is the covariance."""
     increments: tuple[Increments, ...]
     """What the numbers mean."""
     warnings: tuple[str, ...]
@@ -146,6 +147,7 @@ def polish_cameras(
     n_levels = len(config.blurs_px)
     x, done = x_start, 0
     latest = None
+    terms: list[PairTerm | RimTerm] = []
     for level in range(n_levels):
         for turn in range(config.rounds[level]):
             round_seed = seed + 101 * level + turn
@@ -173,6 +175,8 @@ def polish_cameras(
                 )
                 yield latest
     assert latest is not None  # A configuration has at least one level and round.
+    sober = [prior, *(term.tempered(x, sober=True) for term in terms)]
+    latest = dataclasses.replace(latest, normal=total(sober, x).normal)
     before = start_disagreement
     if before is None:
         before = disagreement(mesh, photos, cameras, config.min_cosine)

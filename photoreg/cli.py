@@ -118,12 +118,16 @@ def _refine_command(preset: RegistrationConfig) -> Callable[..., int]:
                 f"Cost {last.start_cost:.4g} -> {last.cost:.4g} in "
                 f"{last.elapsed_s:.1f} s. {last.reason} Cameras written to {out}."
             )
+            for sentence in (*last.standard_errors, *last.undetermined):
+                _log.print(sentence)
         if json:
             figures = {
                 field.name: getattr(last, field.name)
                 for field in dataclasses.fields(last)
                 if field.name != "cameras"
             }
+            if isinstance(last, Finished):
+                figures["expected_error_px"] = last.expected_error_px
             _print_json({**figures, "stopped": interrupted, "out": str(out)})
         return 1 if interrupted else 0
 

@@ -54,6 +54,19 @@ class Finished:
     """Cost evaluations of the search."""
     seconds_by_phase: dict[str, float]
     """Seconds by phase: prepare, search, polish."""
+    expected_errors_px: tuple[float | None, ...] = ()
+    """Expected projection error of each photo's camera in pixels; None where a photo
+    took no part. Empty where no polish ran: the search alone cannot tell."""
+    standard_errors: tuple[str, ...] = ()
+    """How sure each camera is, in plain words: one sentence a photo that took part."""
+    undetermined: tuple[str, ...] = ()
+    """What the photos leave open, in plain words, the weakest first."""
+
+    @property
+    def expected_error_px(self) -> float | None:
+        """Mean of the expected errors in pixels; None where nothing is known."""
+        known = [error for error in self.expected_errors_px if error is not None]
+        return sum(known) / len(known) if known else None
 
 
 Event = Progress | Finished

@@ -293,8 +293,14 @@ class PairTerm:
         )
         return Quadratic(float(costs.sum(axis=0) @ self.weight), gradient, normal)
 
-    def tempered(self, x: Float[np.ndarray, "p"]) -> "PairTerm":
-        """The term with each channel weighted by what it knows at ``x``."""
+    def tempered(self, x: Float[np.ndarray, "p"], *, sober: bool = False) -> "PairTerm":
+        """The term with each channel weighted by what it knows at ``x``.
+
+        ``sober`` also counts what the channels get wrong together and the numbers that
+        were fitted. That is right for saying how sure the answer is; as weights it
+        trusts outlines more, and where a scan's outline is fat the answer follows it
+        (granite went from 0.7 to 1.4 px).
+        """
         _, gradients, normals = self._sums(
             x + own_step(self.linearise(x)), derivatives=True
         )
@@ -307,7 +313,17 @@ class PairTerm:
             )
             for k in range(len(self.weight))
         ]
-        return dataclasses.replace(self, weight=self.weight / ratios)
+        weight = self.weight / ratios
+        if not sober:
+            return dataclasses.replace(self, weight=weight)
+        # Where the mesh is wrong, all channels are wrong alike.
+        joint = overdispersion(
+            np.einsum("k,ckp->cp", weight, gradients),
+            np.einsum("k,kij->ij", weight, normals.sum(axis=0)),
+            groups,
+            fitted=True,
+        )
+        return dataclasses.replace(self, weight=weight / joint)
 
     @property
     def _rows(self) -> np.ndarray:

@@ -158,6 +158,8 @@ def overdispersion(
     scores: Float[np.ndarray, "cells p"],
     normal: Float[np.ndarray, "p p"],
     groupings: Sequence[Int[np.ndarray, "cells"]],
+    *,
+    fitted: bool = False,
 ) -> float:
     """How much less the data knows than its normal matrix says, at least 1.
 
@@ -166,9 +168,10 @@ def overdispersion(
     light) make it larger; dividing the term's weight by the ratio restores the balance.
 
     Args:
-        scores: The gradient's part of each cell.
+        scores: The gradient's part of each cell, after ``own_step``.
         normal: The term's normal matrix.
         groupings: Group of each cell; the grouping with the largest ratio counts.
+        fitted: Make up for the numbers that ``own_step`` fitted to these scores.
 
     References:
         The sandwich estimator over clusters: K.-Y. Liang and S. Zeger, "Longitudinal
@@ -180,10 +183,13 @@ def overdispersion(
     for grouping in groupings:
         _, index = np.unique(grouping, return_inverse=True)
         n = int(index.max(initial=-1)) + 1
-        if not known.any() or n < MIN_GROUPS:
+        # The step before fitted so many numbers to the same scores, held by one unit.
+        lost = float((values[known] / (values[known] + 1.0)).sum()) if fitted else 0.0
+        if not known.any() or n < max(MIN_GROUPS, 1.5 * lost):
             continue
         sums = np.zeros((n, scores.shape[1]))
         np.add.at(sums, index, scores)
         along = (sums - sums.mean(axis=0)) @ vectors[:, known]
-        ratio = max(ratio, float(np.mean((along**2).sum(axis=0) / values[known])))
+        spread = float(np.mean((along**2).sum(axis=0) / values[known]))
+        ratio = max(ratio, spread * n / (n - lost))
     return ratio

@@ -17,6 +17,7 @@ from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.presets import OBJECT_BOX, PresetName, RegistrationConfig
 from photoreg.sampling import SurfaceSamples, sample_surface
+from photoreg.uncertainty import Uncertainty, estimate_uncertainty
 from photoreg.visibility import visible
 
 __all__ = [
@@ -102,6 +103,7 @@ class _Run:
         self.warnings: list[str] = []
         self.reason = ""
         self.start_cost = self.cost = np.inf
+        self.uncertainty: Uncertainty | None = None
 
     def events(self) -> Generator[Event, None, None]:
         yield self._progress("prepare", "getting ready", 0.0, np.inf, np.inf)
@@ -258,6 +260,8 @@ class _Run:
                 break
         assert answer is not None
         self.warnings += answer.warnings
+        names = tuple(photo.name for photo in self.photos)
+        self.uncertainty = estimate_uncertainty(self.mesh, answer, names)
         self.reason += " The polish is done."
 
     def _polish_from(
@@ -316,7 +320,21 @@ class _Run:
             self.generations,
             self.evaluations,
             self.seconds,
+            *self._how_sure(),
         )
+
+    def _how_sure(
+        self,
+    ) -> tuple[tuple[float | None, ...], tuple[str, ...], tuple[str, ...]]:
+        """Expected errors, standard errors in words, and what stays open."""
+        if self.uncertainty is None:
+            return (), (), ()
+        expected: list[float | None] = [None] * len(self.given)
+        words = []
+        for i, camera in zip(self.active, self.uncertainty.cameras, strict=True):
+            expected[i] = camera.expected_error_px
+            words.append(camera.in_words(self.given_photos[i].name))
+        return tuple(expected), tuple(words), self.uncertainty.undetermined
 
     def _clock(self, phase: Phase) -> None:
         elapsed = time.perf_counter() - self.began

@@ -340,8 +340,8 @@ class RimTerm:
         gradient[own] = J.T @ (weights * error)
         return Quadratic(cost, gradient, whole)
 
-    def tempered(self, x: Float[np.ndarray, "p"]) -> "RimTerm":
-        """The term weighted by what its segments know at ``x``."""
+    def tempered(self, x: Float[np.ndarray, "p"], *, sober: bool = False) -> "RimTerm":
+        """The term weighted by what its segments know at ``x``; see ``PairTerm``."""
         x = x + own_step(self.linearise(x))
         residual, rows = self._residuals(x)
         weights, error, _ = self._offsets(residual)
@@ -353,6 +353,7 @@ class RimTerm:
             parts,
             self.linearise(x).normal[own, own],
             [index // length for length in BLOCK_LENGTHS],
+            fitted=sober,
         )
         return dataclasses.replace(self, weight=self.weight / ratio)
 

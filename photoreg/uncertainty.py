@@ -36,6 +36,17 @@ class CameraUncertainty:
     """Expected distance, root of the mean square over the surface that the photo sees,
     between where the camera puts the surface and where it is, in pixels."""
 
+    def in_words(self, name: str) -> str:
+        """The standard errors in one sentence about the photo called ``name``."""
+        aside, along = max(self.position_share[:2]), self.position_share[2]
+        return (
+            f"{name}: expected error {self.expected_error_px:.2g} px; rotation "
+            f"±{max(self.rotation_deg):.2g}°, position ±{100.0 * aside:.2g} % of the "
+            f"distance across the view and ±{100.0 * along:.2g} % along it, focal length "
+            f"±{100.0 * self.focal_share:.2g} %, principal point "
+            f"±{max(self.principal_px):.2g} px."
+        )
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Uncertainty:

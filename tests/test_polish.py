@@ -45,6 +45,19 @@ def test_two_priors_meet_at_their_weighted_mean():
     assert abs(last.x[0] - 3.0) < 1e-6, last.x
 
 
+def test_overdispersion_makes_up_for_the_numbers_fitted_to_the_same_residuals():
+    rng = np.random.default_rng(1)
+    ratios = []
+    for _ in range(200):
+        J, r = rng.normal(size=(40, 12)), rng.normal(size=40)
+        r -= J @ np.linalg.solve(J.T @ J, J.T @ r)
+        # Known so well that the unit that holds own_step counts for nothing.
+        scores, normal = 1e3 * J * r[:, None], 1e6 * J.T @ J
+        ratios.append(overdispersion(scores, normal, [np.arange(40)], fitted=True))
+    # At least 1 each, so the mean lies above it; without the correction it is 1.004.
+    assert 1.05 < np.mean(ratios) < 1.3, np.mean(ratios)
+
+
 def test_overdispersion_is_one_for_independent_and_m_for_repeated_residuals():
     rng = np.random.default_rng(0)
     J, r = rng.normal(size=(3000, 4)), rng.normal(size=(3000, 1))

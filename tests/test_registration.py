@@ -55,12 +55,18 @@ def turned_away(camera: Camera) -> Camera:
 def test_the_default_preset_finds_the_cameras():
     scene = small_scene()
     *events, last = run(RegistrationConfig.preset("default"))
+    assert isinstance(last, Finished)
     before = projection_error(scene.mesh, scene.cameras, scene.rough_cameras).mean
     after = projection_error(scene.mesh, scene.cameras, last.cameras).mean
     # 0.1 to 0.2 px were measured at this size of 320x240; the start is 6 px off.
     assert after < 0.5 < 4.0 < before, (before, after)
     phases = {event.phase for event in events if isinstance(event, Progress)}
     assert phases == {"prepare", "search", "polish"}
+    assert len(last.expected_errors_px) == len(last.standard_errors) == 2
+    assert last.expected_error_px is not None
+    assert after < 4.0 * last.expected_error_px < 4.0, (after, last.expected_error_px)
+    for photo, sentence in zip(scene.photos, last.standard_errors, strict=True):
+        assert sentence.startswith(f"{photo.name}: expected error ")
 
 
 def test_a_search_that_misleads_is_not_followed(monkeypatch):
@@ -104,6 +110,7 @@ def test_the_last_event_is_finished_and_the_only_one():
     assert isinstance(last, Finished)
     assert all(isinstance(event, Progress) for event in events)
     assert set(last.seconds_by_phase) == {"prepare", "search"}
+    assert last.expected_error_px is None  # Without a polish nothing is known.
 
 
 def test_progress_never_goes_back():
