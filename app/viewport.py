@@ -32,8 +32,10 @@ SETTLE_S = 10.0
 """After a pose was set the view glides there, on a slow machine for a while. Until it
 has arrived, or for so long, what it reports is not the user's doing."""
 
-GESTURE_PAUSE_S = 0.7
-"""A rest of this length ends a gesture; what follows is another undo step."""
+GESTURE_PAUSE_S = 2.5
+"""A rest of this length ends a gesture; what follows is another undo step. The browser
+does not tell when the mouse is released, and draws a frame a second where it has no
+graphics card and much else to do: a shorter rest would cut one drag into several steps."""
 
 SURROUND = {True: (38, 41, 48), False: (229, 232, 237)}
 """Around the photo that is looked through, on a dark and on a light page."""
