@@ -43,7 +43,7 @@ SURROUND = {True: (38, 41, 48), False: (229, 232, 237)}
 MAX_BACKGROUND_PX = 1600
 FIT = 0.97
 
-Mode = Literal["free", "move", "inspect"]
+Mode = Literal["free", "move"]
 
 
 class Viewport:
@@ -93,7 +93,7 @@ class Viewport:
                 _place(self.client, position, look_at, up)
                 camera.fov = FREE_FOV
 
-    def look_through(self, mode: Mode = "move") -> None:
+    def look_through(self) -> None:
         """Looks through the selected photo's camera; moving the view moves it."""
         with self._lock:
             if self._session.state.selected_photo is None:
@@ -106,7 +106,7 @@ class Viewport:
                     np.array(camera.up_direction),
                 )
                 self._hide("/solid", "/cameras")
-            self.mode = mode
+            self.mode = "move"
             self._stands_at = None
             self.show(self._session.state)
 
