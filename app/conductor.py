@@ -22,6 +22,7 @@ from app.messages import (
     Live,
     LoadMesh,
     LoadPhoto,
+    Measured,
     MeshLoaded,
     OverlayView,
     PhotoLoaded,
@@ -51,7 +52,9 @@ class Conductor:
     def __init__(self, session: Session, warm_up: bool = True) -> None:
         self.session = session
         self.picture: bytes | None = None
-        """The newest overlay, a JPEG file."""
+        """The newest overlay, a JPEG file; of a blink the photo whose turn it is."""
+        self.drawn: Picture | None = None
+        """The newest pictures of the worker, all of them."""
         self.on_picture: Callable[[], None] = lambda: None
         self.on_problem: Callable[[str], None] = _ignore
         """Called with a sentence for everybody who looks at the page."""
@@ -171,6 +174,14 @@ class Conductor:
             raise InputError("There are no photos, so there are no cameras to save.")
         return dump_cameras(CameraFile({entry.name: entry.camera for entry in photos}))
 
+    def blink(self) -> None:
+        """Shows the other picture of a blink, if there is one."""
+        drawn = self.drawn
+        if drawn is not None and drawn.other_jpeg is not None:
+            is_first = self.picture is drawn.jpeg
+            self.picture = drawn.other_jpeg if is_first else drawn.jpeg
+            self.on_picture()
+
     # What the worker reports.
 
     def _on_event(self, event: Event) -> None:
@@ -192,9 +203,11 @@ class Conductor:
             case Live():
                 self.session.change(None, lambda state: outcomes.advanced(state, event))
             case Picture():
-                self.picture = event.jpeg
+                self.picture, self.drawn = event.jpeg, event
                 self.session.change(None, lambda state: outcomes.measured(state, event))
                 self.on_picture()
+            case Measured():
+                self._set(agreement=event.agreement)
             case Refined():
                 self.session.change(None, lambda state: outcomes.ended(state, event))
             case Working():
@@ -320,7 +333,13 @@ def _must_be_idle(state: State) -> None:
 
 
 def _view(state: State) -> OverlayView:
-    return OverlayView(state.overlay_style, state.overlay_onto)
+    return OverlayView(
+        state.overlay_style,
+        state.overlay_onto,
+        state.overlay_share,
+        state.through_style,
+        state.mesh_opacity if state.through_style == "normals" else 0.0,
+    )
 
 
 def _shown_cameras(state: State) -> tuple[Camera, ...]:

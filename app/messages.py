@@ -4,7 +4,15 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
-from app.state import CurvePoint, OverlayStyle, PresetName
+import numpy as np
+
+from app.state import (
+    Agreement,
+    CurvePoint,
+    OverlayStyle,
+    PresetName,
+    ThroughStyle,
+)
 from photoreg.camera import Camera
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
@@ -39,6 +47,12 @@ class OverlayView:
     style: OverlayStyle
     onto: int
     """Index of the photo that stays; the next one is carried over into it."""
+    share: float = 0.5
+    """Share of the carried photo in a blend; where the line of a swipe is."""
+    through: ThroughStyle = "surface"
+    """What a view through the photo needs beside the overlay."""
+    mesh_opacity: float = 0.5
+    """How much of the normals is mixed into the photo."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -111,6 +125,21 @@ class Picture:
     jpeg: bytes
     error_px: float | None
     """Mean projection error of those cameras, where the truth is known."""
+    other_jpeg: bytes | None = None
+    """What a blink shows in turn with ``jpeg``."""
+    onto: str = ""
+    """Name of the photo that the picture was drawn upon."""
+    normals_jpeg: bytes | None = None
+    """The surface's normals over that photo, where asked for."""
+    lines: np.ndarray | None = None
+    """Silhouette and creases that it sees, (s, 2, 3), where asked for."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Measured:
+    """How well the photos agree under the newest cameras."""
+
+    agreement: Agreement
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -166,6 +195,7 @@ Event = (
     | PhotoLoaded
     | Live
     | Picture
+    | Measured
     | Refined
     | Working
     | Baked

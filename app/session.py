@@ -113,7 +113,6 @@ class Session:
         self._state = dataclasses.replace(
             new,
             selected=min(new.selected, max(0, len(new.document.photos) - 1)),
-            overlay_onto=min(new.overlay_onto, max(0, len(new.document.used) - 1)),
             undo_name=self._past[-1][0] if self._past else None,
             redo_name=self._future[-1][0] if self._future else None,
         )

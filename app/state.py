@@ -19,7 +19,12 @@ quaternions on their way to the page and back, which costs about 1e-15."""
 
 Status = Literal["idle", "starting", "running", "stopping", "review"]
 PresetName = Literal["default", "fast", "thorough", "paper"]
-OverlayStyle = Literal["blend", "checkerboard", "difference", "edges"]
+OverlayStyle = Literal["blend", "checkerboard", "difference", "edges", "blink", "swipe"]
+"""How two photos are laid over each other."""
+ThroughStyle = Literal["surface", "wireframe", "lines", "normals", "photo"]
+"""What lies over a photo that is looked through: the mesh, drawn in one of four ways,
+or another photo, in the overlay style."""
+GizmoKind = Literal["move", "orbit"]
 
 
 def same_camera(a: Camera, b: Camera) -> bool:
@@ -162,6 +167,26 @@ class Job:
 
 
 @dataclasses.dataclass(frozen=True)
+class Agreement:
+    """How well the photos agree on the surface, for the cameras on screen."""
+
+    cost: float
+    """Photo-consistency cost: trimmed mean of squared colour differences, in CIE LUV;
+    infinite where too little is seen in common."""
+    chance: float
+    """What unrelated colours of the same contrast would cost."""
+    share_seen: float
+    """Of the points that any photo sees, the share that two or more see."""
+
+    @property
+    def share(self) -> float | None:
+        """1: the same colours everywhere; 0: no better than chance; None: no overlap."""
+        if not np.isfinite(self.cost) or self.chance <= 0.0:
+            return None
+        return float(np.clip(1.0 - self.cost / self.chance, 0.0, 1.0))
+
+
+@dataclasses.dataclass(frozen=True)
 class State:
     """Everything that is on screen, but for each browser's own view."""
 
@@ -169,8 +194,12 @@ class State:
     selected: int = 0
     mesh_opacity: float = 0.55
     overlay_style: OverlayStyle = "blend"
-    overlay_onto: int = 0
-    """Index, among the photos used, of the photo the overlay is drawn upon."""
+    overlay_share: float = 0.5
+    """Share of the carried photo in a blend; where the line of a swipe is."""
+    through_style: ThroughStyle = "surface"
+    gizmo: GizmoKind = "move"
+    agreement: Agreement | None = None
+    """None until it is measured, or where there are no two photos to compare."""
     keep_size: bool = True
     """Whether a change of focal length keeps the object's size in the photo."""
     preset: PresetName = "default"
@@ -202,6 +231,16 @@ class State:
         """The photo chosen for alignment."""
         photos = self.photos
         return photos[self.selected] if photos else None
+
+    @property
+    def overlay_onto(self) -> int:
+        """Index, among the photos used, of the one the overlay is drawn upon.
+
+        It is the selected one, so that the picture beside the scene and the view
+        through a photo show the same.
+        """
+        used = [i for i, entry in enumerate(self.document.photos) if entry.enabled]
+        return used.index(self.selected) if self.selected in used else 0
 
     @property
     def texture_is_current(self) -> bool:

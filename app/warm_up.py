@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 
+from app.judge import Judge
 from photoreg.camera import Camera
 from photoreg.evaluate import projection_error
 from photoreg.mesh import Mesh
@@ -39,6 +40,8 @@ def warm_up_steps() -> Iterator[str]:
     overlay = LiveOverlay(mesh, photos, WIDTH)
     overlay.picture(cameras, 0, 1)
     yield "overlay"
+    Judge(mesh, photos).agreement(cameras)
+    yield "judge"
     projection_error(mesh, cameras, cameras, n_samples=200)
     yield "error"
     config = RegistrationConfig.preset("fast")

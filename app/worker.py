@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 
-from app.messages import Died, Event, Job, Live, Picture, Stop
+from app.messages import Died, Event, Job, Live, Measured, Picture, Stop
 
 log = logging.getLogger(__name__)
 
@@ -164,5 +164,5 @@ def newest(events: list[Event]) -> list[Event]:
     return [
         dataclasses.replace(event, curve=curve) if isinstance(event, Live) else event
         for i, event in enumerate(events)
-        if not isinstance(event, Live | Picture) or last[type(event)] == i
+        if not isinstance(event, Live | Picture | Measured) or last[type(event)] == i
     ]

@@ -5,12 +5,14 @@ import signal
 import threading
 import time
 import traceback
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 
 import cv2
 import numpy as np
 
 from app.baking import Baker
+from app.judge import Judge
 from app.messages import (
     Bake,
     DrawOverlay,
@@ -20,6 +22,7 @@ from app.messages import (
     Live,
     LoadMesh,
     LoadPhoto,
+    Measured,
     MeshLoaded,
     OverlayView,
     PhotoLoaded,
@@ -38,15 +41,19 @@ from photoreg.camera import Camera
 from photoreg.errors import PhotoregError
 from photoreg.evaluate import projection_error
 from photoreg.mesh import Mesh, load_mesh
-from photoreg.overlay import LiveOverlay
+from photoreg.overlay import AlignedPair, LiveOverlay, compose
 from photoreg.photo import Photo, load_photo
 from photoreg.registration import Finished, Progress, RegistrationConfig, refine
+from photoreg.surface_lines import SurfaceLines, shaded_normals
 
 PICTURE_PERIOD_S = 0.18
 """Time between overlay pictures during a refinement: five and a half a second."""
 
 PICTURE_SIDE_PX = 1024
 LIVE_PERIOD_S = 0.08
+JUDGE_PERIOD_S = 0.3
+"""Time between measurements during a refinement: 2 ms each, under a hundredth of it."""
+
 ERROR_SAMPLES = 2_000
 JPEG_QUALITY = 82
 
@@ -70,8 +77,11 @@ class WorkerProcess:
         self._send_lock = threading.Lock()
         self._mesh: Mesh | None = None
         self._photos: tuple[Photo, ...] = ()
-        self._overlay: LiveOverlay | None = None
+        self._drawing: Drawing | None = None
+        self._judge: Judge | None = None
+        self._painter = Painter(self._send)
         self._baker = Baker()
+        self._view = OverlayView("blend", 0)
         self._backlog: list[Job] = []
 
     def run(self, warm_up: bool) -> None:
@@ -109,7 +119,7 @@ class WorkerProcess:
         match job:
             case SetScene():
                 self._mesh, self._photos = job.mesh, job.photos
-                self._overlay = None
+                self._drawing = self._judge = None
             case LoadMesh():
                 mesh = load_mesh(job.path)
                 self._send(Working(f"Reading {mesh.name}", 0.6))
@@ -118,7 +128,12 @@ class WorkerProcess:
                 self._send(PhotoLoaded(load_photo(job.path)))
             case DrawOverlay():
                 newer = self._newer_overlay(job)
-                self._send(self._draw(newer.cameras, newer.view, newer.truth))
+                # The number first, it is there in no time; the picture on its thread,
+                # so that the next number need not wait for it.
+                self._measure(newer.cameras)
+                self._painter.offer(
+                    self._its_drawing(), newer.cameras, newer.view, newer.truth
+                )
             case Refine():
                 self._refine(job)
             case Bake():
@@ -136,19 +151,15 @@ class WorkerProcess:
                 self._backlog.append(following)
         return job
 
-    def _draw(
-        self,
-        cameras: tuple[Camera, ...],
-        view: OverlayView,
-        truth: tuple[Camera, ...] | None,
-    ) -> Picture:
-        mesh = self._scene_mesh()
-        if self._overlay is None:
-            self._overlay = LiveOverlay(mesh, self._photos, PICTURE_SIDE_PX)
-        onto = view.onto % len(cameras)
-        carried = (onto + 1) % len(cameras)
-        picture = self._overlay.picture(cameras, onto, carried, view.style)
-        return Picture(encode_jpeg(picture), true_error(mesh, truth, cameras))
+    def _its_drawing(self) -> "Drawing":
+        if self._drawing is None:
+            self._drawing = Drawing(self._scene_mesh(), self._photos)
+        return self._drawing
+
+    def _measure(self, cameras: tuple[Camera, ...]) -> None:
+        if self._judge is None:
+            self._judge = Judge(self._scene_mesh(), self._photos)
+        self._send(Measured(self._judge.agreement(cameras)))
 
     def _scene_mesh(self) -> Mesh:
         if self._mesh is None:
@@ -159,37 +170,42 @@ class WorkerProcess:
         mesh = self._scene_mesh()
         start_error = true_error(mesh, job.truth, job.cameras)
         best, finished, last = job.cameras, None, None
-        sent_at, curve, costs = -np.inf, [], CostCurve()
-        with LivePainter(self, job) as painter:
-            config = RegistrationConfig.preset(job.preset)
-            for event in refine(mesh, self._photos, job.cameras, config):
-                best = tuple(event.cameras)
-                if isinstance(event, Finished):
-                    finished = event
-                    break
-                last = event
-                painter.offer(best)
-                now = time.monotonic()
-                curve.extend(costs.points(event))
-                if now - sent_at >= LIVE_PERIOD_S:
-                    self._send(Live(event, tuple(curve)))
-                    sent_at = now
-                    curve.clear()
-                if self._must_stop(painter):
-                    break
+        sent_at, judged_at, curve, costs = -np.inf, -np.inf, [], CostCurve()
+        drawing, self._view = self._its_drawing(), job.view
+        config = RegistrationConfig.preset(job.preset)
+        for event in refine(mesh, self._photos, job.cameras, config):
+            best = tuple(event.cameras)
+            if isinstance(event, Finished):
+                finished = event
+                break
+            last = event
+            self._painter.offer(drawing, best, self._view, job.truth, PICTURE_PERIOD_S)
+            now = time.monotonic()
+            curve.extend(costs.points(event))
+            if now - sent_at >= LIVE_PERIOD_S:
+                self._send(Live(event, tuple(curve)))
+                sent_at = now
+                curve.clear()
+            if now - judged_at >= JUDGE_PERIOD_S:
+                self._measure(best)
+                judged_at = now
+            if self._must_stop():
+                break
         if last is not None:
             self._send(Live(last, tuple(curve)))
-        self._send(self._draw(best, painter.view, job.truth))
+        self._measure(best)
+        self._painter.finish()
+        self._send(drawing.picture(best, self._view, job.truth))
         error = true_error(mesh, job.truth, best)
         self._send(Refined(best, finished, start_error, error))
 
-    def _must_stop(self, painter: "LivePainter") -> bool:
+    def _must_stop(self) -> bool:
         while self._connection.poll(0):
             message = self._connection.recv()
             if isinstance(message, Stop):
                 return True
             if isinstance(message, OverlayView):
-                painter.view = message
+                self._view = message
             else:
                 self._backlog.append(message)
         return False
@@ -206,55 +222,119 @@ class WorkerProcess:
                 return
 
 
-class LivePainter:
-    """Draws overlays of the newest cameras on its own thread while the search runs.
+class Drawing:
+    """Pictures of one scene; what does not change is prepared once."""
 
-    The overlay's kernels are not parallel and hold no lock, so they run beside the
-    search on another core; the search never waits for a picture.
+    def __init__(self, mesh: Mesh, photos: tuple[Photo, ...]) -> None:
+        self._mesh = mesh
+        self._photos = photos
+        self._overlay = LiveOverlay(mesh, photos, PICTURE_SIDE_PX)
+        self._lines: SurfaceLines | None = None
+        self._pair: tuple[object, AlignedPair] | None = None
+
+    def picture(
+        self,
+        cameras: tuple[Camera, ...],
+        view: OverlayView,
+        truth: tuple[Camera, ...] | None,
+    ) -> Picture:
+        """The overlay, and what a view through the photo needs beside it."""
+        overlay, onto = self._overlay, view.onto % len(cameras)
+        key = (onto, tuple(map(id, cameras)))
+        if self._pair is None or self._pair[0] != key:
+            # A slider of the overlay's asks for the same pair again and again. The
+            # cameras are kept with it: ids of living objects do not repeat.
+            carried = (onto + 1) % len(cameras)
+            self._pair = (key, overlay.pair(cameras, onto, carried))
+            self._cameras = cameras
+        pair = self._pair[1]
+        other = normals = lines = None
+        if view.style == "blink":
+            jpeg = encode_jpeg(pair.base)
+            other = encode_jpeg(compose(pair, "carried"))
+        else:
+            jpeg = encode_jpeg(compose(pair, view.style, view.share))
+        if view.through == "normals":
+            normals = encode_jpeg(
+                shaded_normals(
+                    overlay.mesh, overlay.photos[onto], cameras[onto], view.mesh_opacity
+                )
+            )
+        if view.through == "lines":
+            if self._lines is None:
+                self._lines = SurfaceLines(overlay.mesh)
+            lines = self._lines.seen_from(cameras[onto])
+        return Picture(
+            jpeg,
+            true_error(self._mesh, truth, cameras),
+            other,
+            self._photos[onto].name,
+            normals,
+            lines,
+        )
+
+
+class Painter:
+    """Draws the newest cameras on its own thread, and skips what is overtaken.
+
+    The overlay's kernels are not parallel and hold no lock, so they run beside a
+    search on another core; neither search nor measurement waits for a picture.
     """
 
-    def __init__(self, process: WorkerProcess, job: Refine) -> None:
-        self.view = job.view
-        self._process = process
-        self._truth = job.truth
-        self._newest: tuple[Camera, ...] | None = None
-        self._wake = threading.Event()
-        self._done = False
-        self._thread = threading.Thread(target=self._paint, daemon=True)
+    def __init__(self, send: Callable[[Event], None]) -> None:
+        self._send = send
+        self._newest: Callable[[], Picture] | None = None
+        self._period_s = 0.0
+        self._changed = threading.Condition()
+        self._is_busy = False
+        threading.Thread(target=self._paint, daemon=True, name="painter").start()
 
-    def __enter__(self) -> "LivePainter":
-        self._thread.start()
-        return self
+    def offer(
+        self,
+        drawing: Drawing,
+        cameras: tuple[Camera, ...],
+        view: OverlayView,
+        truth: tuple[Camera, ...] | None,
+        period_s: float = 0.0,
+    ) -> None:
+        """What to draw next, unless something newer comes first."""
+        with self._changed:
+            self._newest = lambda: drawing.picture(cameras, view, truth)
+            self._period_s = period_s
+            self._changed.notify_all()
 
-    def __exit__(self, *_: object) -> None:
-        self._done = True
-        self._wake.set()
-        self._thread.join()
-
-    def offer(self, cameras: tuple[Camera, ...]) -> None:
-        """The cameras to draw next, unless newer ones come first."""
-        self._newest = cameras
-        self._wake.set()
+    def finish(self) -> None:
+        """Drops what waits, and waits until nothing is being drawn."""
+        with self._changed:
+            self._newest = None
+            self._changed.wait_for(lambda: not self._is_busy)
 
     def _paint(self) -> None:
         while True:
-            self._wake.wait()
-            self._wake.clear()
-            if self._done:
-                return
-            cameras, started = self._newest, time.monotonic()
-            if cameras is None:
-                continue
+            with self._changed:
+                self._changed.wait_for(lambda: self._newest is not None)
+                draw, period_s = self._newest, self._period_s
+                assert draw is not None
+                self._newest, self._is_busy = None, True
+            started = time.monotonic()
             try:
-                self._process._send(
-                    self._process._draw(cameras, self.view, self._truth)
+                self._send(draw())
+            except PhotoregError as error:
+                # A pose from which nothing is seen has no picture.
+                self._send(Failed(DrawOverlay.__name__, str(error)))
+            except (EOFError, OSError):
+                return  # The app is gone.
+            except Exception:  # noqa: BLE001 - the border of a thread: report.
+                self._send(
+                    Failed(DrawOverlay.__name__, "No picture.", traceback.format_exc())
                 )
-            except (PhotoregError, OSError):
-                # A pose from which nothing is seen has no picture; the run goes on.
-                continue
-            # Never more than two fifths of a core, however slow this machine is.
-            spent = time.monotonic() - started
-            time.sleep(max(PICTURE_PERIOD_S - spent, 1.5 * spent, 0.0))
+            with self._changed:
+                self._is_busy = False
+                self._changed.notify_all()
+            if period_s > 0.0:
+                # Never more than two fifths of a core, however slow this machine is.
+                spent = time.monotonic() - started
+                time.sleep(max(period_s - spent, 1.5 * spent, 0.0))
 
 
 class CostCurve:

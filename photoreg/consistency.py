@@ -205,6 +205,15 @@ class PhotoConsistency:
         """The cost of one set of cameras; +inf when they see too little in common."""
         return float(self._evaluate(_poses_of(cameras))[0][0])
 
+    def cost_and_chance(self, cameras: Sequence[Camera]) -> tuple[float, float]:
+        """The cost, and the variance of the colours seen.
+
+        Unrelated photos of the same contrast would cost about that variance, because
+        exposure is solved along: the best gain between them is none.
+        """
+        costs, _, spreads = self._evaluate(_poses_of(cameras))
+        return float(costs[0]), float(spreads[0])
+
     def n_common(self, cameras: Sequence[Camera]) -> int:
         """How many samples at least two of the photos see."""
         return int(self._evaluate(_poses_of(cameras))[1][0])

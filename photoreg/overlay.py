@@ -7,7 +7,7 @@ interpreter lock: it may be called from anywhere, while a search runs.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, get_args
 
 import cv2
 import numba as nb
@@ -32,7 +32,11 @@ LIVE_MAX_FACES = 200_000
 """Finer meshes are decimated for live pictures: smaller faces than pixels cost time
 and change nothing that can be seen."""
 
-OverlayMode = Literal["blend", "checkerboard", "difference", "edges"]
+OverlayMode = Literal[
+    "blend", "checkerboard", "difference", "edges", "swipe", "carried"
+]
+"""``swipe``: one photo left of a line, the other right of it. ``carried``: the carried
+photo alone where it is seen, to be shown in turn with the base."""
 
 ORANGE = (255, 140, 0)
 BLUE = (0, 110, 255)
@@ -89,9 +93,10 @@ class LiveOverlay:
         onto: int,
         carried: int,
         mode: OverlayMode = "blend",
+        share: float = 0.5,
     ) -> UInt8[np.ndarray, "h w 3"]:
         """The overlay of one photo on another, ready to be shown."""
-        return compose(self.pair(cameras, onto, carried), mode)
+        return compose(self.pair(cameras, onto, carried), mode, share)
 
 
 def carry_over(
@@ -126,19 +131,34 @@ def carry_over(
     )
 
 
-def compose(pair: AlignedPair, mode: OverlayMode) -> UInt8[np.ndarray, "h w 3"]:
-    """The picture of ``pair`` in one of the modes, with that mode's defaults."""
-    if mode == "blend":
-        return blend(pair.base, pair.carried, pair.seen)
-    if mode == "checkerboard":
-        return checkerboard(pair.base, pair.carried, pair.seen)
-    if mode == "difference":
-        return difference(pair.base, pair.carried, pair.seen)
-    if mode == "edges":
-        return edges(pair.base, pair.carried, pair.seen)
+def compose(
+    pair: AlignedPair, mode: OverlayMode, share: float = 0.5
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The picture of ``pair`` in one of the modes.
+
+    Args:
+        pair: Two pictures of the same surface.
+        mode: How they are laid over each other.
+        share: Of the carried photo in a blend; where a swipe's line is, as a share of
+            the width; without meaning for the others. In [0, 1].
+    """
+    parts = (pair.base, pair.carried, pair.seen)
+    match mode:
+        case "blend":
+            return blend(*parts, share)
+        case "checkerboard":
+            return checkerboard(*parts)
+        case "difference":
+            return difference(*parts)
+        case "edges":
+            return edges(*parts)
+        case "swipe":
+            return swipe(pair.base, blend(*parts, 1.0), share)
+        case "carried":
+            return blend(*parts, 1.0)
     raise InputError(
-        f"There is no overlay called {mode!r}; there are blend, checkerboard, "
-        "difference and edges."
+        f"There is no overlay called {mode!r}; there are "
+        f"{', '.join(get_args(OverlayMode))}."
     )
 
 

@@ -14,9 +14,9 @@ from photoreg.rock import rock_mesh
 from photoreg.surface_lines import SurfaceLines, shaded_normals
 
 
-def box(shift: float = 0.0) -> Mesh:
+def box() -> Mesh:
     solid = trimesh.creation.box((2.0, 1.2, 0.8))
-    return Mesh(np.asarray(solid.vertices) + (shift, 0, 0), np.asarray(solid.faces))
+    return Mesh(np.asarray(solid.vertices), np.asarray(solid.faces))
 
 
 @pytest.fixture
