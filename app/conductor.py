@@ -271,6 +271,8 @@ class Conductor:
         if (
             wanted == before
             and old.document.mesh is new.document.mesh
+            and [e.mask_png for e in old.document.used]
+            == [e.mask_png for e in new.document.used]
             and not old.run.is_active
             and len(cameras) == len(_shown_cameras(old))
             and all(map(same_camera, cameras, _shown_cameras(old)))
@@ -284,14 +286,18 @@ class Conductor:
 
     def _send_scene(self, document: Document) -> None:
         sent = self._scene_sent
-        photos = tuple(entry.photo for entry in document.used)
         if document.mesh is not None and (
             sent is None
             or sent.mesh is not document.mesh
-            or len(photos) != len(sent.used)
-            or any(a is not b.photo for a, b in zip(photos, sent.used, strict=True))
+            or len(document.used) != len(sent.used)
+            or any(
+                a.photo is not b.photo or a.mask_png != b.mask_png
+                for a, b in zip(document.used, sent.used, strict=True)
+            )
         ):
-            self.worker.send(SetScene(document.mesh, photos))
+            photos = tuple(entry.photo for entry in document.used)
+            masks = tuple(entry.mask_png for entry in document.used)
+            self.worker.send(SetScene(document.mesh, photos, masks))
             self._scene_sent = document
 
     def _set(self, **values: Any) -> None:

@@ -24,6 +24,8 @@ class SetScene:
 
     mesh: Mesh
     photos: tuple[Photo, ...]
+    mask_pngs: tuple[bytes | None, ...] = ()
+    """The photos' masks, see ``app.masks``; empty if no photo has one."""
 
 
 @dataclasses.dataclass(frozen=True)

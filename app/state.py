@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from app.masks import decode_mask, encode_mask
 from photoreg.camera import Camera
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
@@ -43,25 +44,69 @@ def same_camera(a: Camera, b: Camera) -> bool:
     )
 
 
+@dataclasses.dataclass(frozen=True)
+class PointPair:
+    """A point of the surface and the same point in a photo; either may be to come."""
+
+    number: int
+    """What its markers say; unique within the photo."""
+    world: tuple[float, float, float] | None = None
+    """On the surface, in world axes."""
+    pixel: tuple[float, float] | None = None
+    """In the photo; (0, 0) is the centre of the first pixel."""
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether both points are there."""
+        return self.world is not None and self.pixel is not None
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class PhotoEntry:
     """A photo of the document and the camera it was taken with, as far as known."""
 
     photo: Photo
+    """Without a mask: a mask that it comes with is moved to ``mask_png``."""
     camera: Camera
     enabled: bool = True
     """Whether the refinement and the texture use it."""
+    pairs: tuple[PointPair, ...] = ()
+    """Points clicked in the photo and on the surface, by rising number."""
+    mask_png: bytes | None = None
+    """Where the photo counts, as ``app.masks`` encodes it; None: everywhere."""
+
+    def __post_init__(self) -> None:
+        if self.photo.mask is not None:
+            if self.mask_png is None:
+                object.__setattr__(self, "mask_png", encode_mask(self.photo.mask))
+            object.__setattr__(
+                self, "photo", dataclasses.replace(self.photo, mask=None)
+            )
 
     @property
     def name(self) -> str:
         """The photo's file name, unique within the document."""
         return self.photo.name
 
+    @property
+    def whole_pairs(self) -> tuple[PointPair, ...]:
+        """The pairs of which both points are there."""
+        return tuple(pair for pair in self.pairs if pair.is_whole)
+
+    @property
+    def masked_photo(self) -> Photo:
+        """The photo with its mask, as the engine wants it; made anew at each call."""
+        if self.mask_png is None:
+            return self.photo
+        return dataclasses.replace(self.photo, mask=decode_mask(self.mask_png))
+
     def __eq__(self, other: object) -> bool:
         return (
             isinstance(other, PhotoEntry)
             and self.photo is other.photo
             and self.enabled == other.enabled
+            and self.pairs == other.pairs
+            and self.mask_png == other.mask_png
             and same_camera(self.camera, other.camera)
         )
 
@@ -200,6 +245,8 @@ class State:
     gizmo: GizmoKind = "move"
     agreement: Agreement | None = None
     """None until it is measured, or where there are no two photos to compare."""
+    live_solve: bool = True
+    """Whether a camera is solved anew whenever one of its point pairs changes."""
     keep_size: bool = True
     """Whether a change of focal length keeps the object's size in the photo."""
     preset: PresetName = "default"

@@ -1,5 +1,6 @@
 """What runs inside the worker process: warm up, then one job after the other."""
 
+import dataclasses
 import logging
 import signal
 import threading
@@ -13,6 +14,7 @@ import numpy as np
 
 from app.baking import Baker
 from app.judge import Judge
+from app.masks import decode_mask
 from app.messages import (
     Bake,
     DrawOverlay,
@@ -118,7 +120,7 @@ class WorkerProcess:
     def _do(self, job: Job) -> None:
         match job:
             case SetScene():
-                self._mesh, self._photos = job.mesh, job.photos
+                self._mesh, self._photos = job.mesh, masked_photos(job)
                 self._drawing = self._judge = None
             case LoadMesh():
                 mesh = load_mesh(job.path)
@@ -335,6 +337,16 @@ class Painter:
                 # Never more than two fifths of a core, however slow this machine is.
                 spent = time.monotonic() - started
                 time.sleep(max(period_s - spent, 1.5 * spent, 0.0))
+
+
+def masked_photos(scene: SetScene) -> tuple[Photo, ...]:
+    """The scene's photos with their masks."""
+    if not scene.mask_pngs:
+        return scene.photos
+    return tuple(
+        photo if png is None else dataclasses.replace(photo, mask=decode_mask(png))
+        for photo, png in zip(scene.photos, scene.mask_pngs, strict=True)
+    )
 
 
 class CostCurve:
