@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float, Int
 
 from photoreg.checks import check_input_file, check_points
 from photoreg.errors import InputError
+from photoreg.sources import SourceFile, source_file
 
 MESH_SUFFIXES = (".obj", ".ply", ".stl", ".glb", ".off")
 
@@ -39,6 +40,8 @@ class Mesh:
     file had them. By corner, because along a seam one vertex has several."""
     name: str = "mesh"
     """File name, for messages."""
+    source: SourceFile | None = None
+    """The file it was read from; None if it was made in memory."""
 
     def __post_init__(self) -> None:
         if len(self.vertices) == 0:
@@ -234,7 +237,7 @@ def load_mesh(path: Path | str) -> Mesh:
         # An STL repeats each corner; the same position is the same vertex.
         vertices, index = np.unique(vertices, axis=0, return_inverse=True)
         faces = index.reshape(-1)[faces]
-    return Mesh(vertices, faces, corner_uv=corner_uv, name=path.name)
+    return Mesh(vertices, faces, corner_uv, path.name, source_file(path))
 
 
 def _read(path: Path, maintain_order: bool = True) -> trimesh.Trimesh:

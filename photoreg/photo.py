@@ -11,6 +11,7 @@ from PIL import ExifTags, Image, ImageOps
 
 from photoreg.checks import check_input_file
 from photoreg.errors import InputError
+from photoreg.sources import SourceFile, source_file
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 MIN_SIDE_PX = 16
@@ -34,6 +35,8 @@ class Photo:
     """True where the photo counts; None: everywhere."""
     exif_focal_px: float | None = None
     """Focal length in pixels by EXIF, a starting value; None if EXIF does not tell."""
+    source: SourceFile | None = None
+    """The file it was read from; None if it was made in memory."""
 
     def __post_init__(self) -> None:
         pixels = self.pixels
@@ -82,6 +85,7 @@ class Photo:
             exif_focal_px=None
             if self.exif_focal_px is None
             else self.exif_focal_px * size[0] / self.width,
+            source=None,
         )
 
 
@@ -106,7 +110,11 @@ def load_photo(path: Path | str) -> Photo:
                 focal_px = _exif_focal_px(image)
                 upright = ImageOps.exif_transpose(image)
                 return Photo(
-                    path.name, _srgb_bytes(upright), _alpha_mask(upright), focal_px
+                    path.name,
+                    _srgb_bytes(upright),
+                    _alpha_mask(upright),
+                    focal_px,
+                    source_file(path),
                 )
     except (InputError, MemoryError):
         raise
