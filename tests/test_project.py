@@ -97,7 +97,7 @@ def test_a_document_comes_back_to_the_bit(project, document):
         assert np.array_equal(ours.camera.P, theirs.camera.P)
         assert ours.enabled == theirs.enabled
     assert back.photos[0].photo.mask is None
-    assert np.array_equal(back.photos[1].photo.mask, mask)
+    assert np.array_equal(back.photos[1].masked_photo.mask, mask)
     assert same_camera(dict(back.truth)["toy-0.png"], document.photos[0].camera)
     project.close()
 
