@@ -4,6 +4,7 @@ No viser here: the tests drive a whole refinement through this without a browser
 """
 
 import dataclasses
+import datetime
 import logging
 import tempfile
 from collections.abc import Callable
@@ -15,6 +16,9 @@ from app import session as rules
 from app.messages import (
     Bake,
     Baked,
+    Checked,
+    Compare,
+    Compared,
     Died,
     DrawOverlay,
     Event,
@@ -31,11 +35,14 @@ from app.messages import (
     Refine,
     Refined,
     SetScene,
+    SurfaceDrawn,
+    Timed,
     Working,
 )
 from app.opening import demo_folder, open_folder, with_camera_file
+from app.run import Run, Status
 from app.session import Session
-from app.state import Document, Job, Run, State, Texture, same_camera
+from app.state import Document, Job, State, Texture, same_camera
 from app.worker import Worker
 from photoreg.camera import Camera
 from photoreg.errors import InputError, RefinementError
@@ -55,6 +62,10 @@ class Conductor:
         """The newest overlay, a JPEG file; of a blink the photo whose turn it is."""
         self.drawn: Picture | None = None
         """The newest pictures of the worker, all of them."""
+        self.surface_glb: bytes | None = None
+        """The newest state of the surface in a run, a GLB file in page axes."""
+        self.comparison: Compared | None = None
+        """The run on screen beside what it is compared with."""
         self.on_picture: Callable[[], None] = lambda: None
         self.on_problem: Callable[[str], None] = _ignore
         """Called with a sentence for everybody who looks at the page."""
@@ -126,24 +137,54 @@ class Conductor:
                 )
             names = tuple(entry.name for entry in document.used)
             start = document.used_cameras
-            run = Run("starting", names, start, start, step="Starting")
+            run = Run(
+                "starting",
+                1 + max((run.number for run in state.runs), default=0),
+                f"{datetime.datetime.now():%Y-%m-%d %H:%M:%S}",
+                state.preset,
+                state.settings,
+                names,
+                start,
+                start,
+                step="Starting",
+            )
             self.session.change(None, rules.setting(run=run, note=""))
             self._send_scene(document)
             self.worker.send(
-                Refine(start, state.preset, _view(state), document.true_cameras(names))
+                Refine(
+                    start, state.settings, _view(state), document.true_cameras(names)
+                )
             )
 
-    def stop(self) -> None:
-        """Ends the refinement; the best so far waits to be accepted."""
+    def pause(self) -> None:
+        """Halts the refinement where it is."""
+        if self.session.change(None, _with_status("paused", "running", "starting")):
+            self.worker.pause_refinement()
+
+    def resume(self) -> None:
+        """Goes on with a refinement that was halted."""
+        if self.session.change(None, _with_status("running", "paused")):
+            self.worker.resume_refinement()
+
+    def stop(self, revert: bool = False) -> None:
+        """Ends the refinement; the best so far waits to be accepted, or is dropped."""
 
         def stopping(state: State) -> State:
             if not state.run.is_active:
                 return state
-            run = dataclasses.replace(state.run, status="stopping", step="Stopping")
+            run = dataclasses.replace(
+                state.run, status="stopping", step="Stopping", is_unwanted=revert
+            )
             return dataclasses.replace(state, run=run)
 
         if self.session.change(None, stopping):
             self.worker.stop_refinement()
+
+    def refine_again(self) -> None:
+        """Accepts the run on screen and starts the next one from its cameras."""
+        with self._lock:
+            self.accept()
+            self.refine()
 
     def accept(self) -> None:
         """Takes the refined cameras into the document, as one undo step."""
@@ -208,8 +249,18 @@ class Conductor:
                 self.on_picture()
             case Measured():
                 self._set(agreement=event.agreement)
+            case SurfaceDrawn():
+                self.surface_glb = event.glb
+                self.on_picture()
             case Refined():
                 self.session.change(None, lambda state: outcomes.ended(state, event))
+            case Compared():
+                self.comparison = event
+                self.on_picture()
+            case Checked():
+                self.session.change(None, lambda state: outcomes.checked(state, event))
+            case Timed():
+                self._set(speed=event.speed)
             case Working():
                 self._set(job=Job(event.title, event.fraction))
             case Baked():
@@ -259,7 +310,8 @@ class Conductor:
     # What follows from a change of state.
 
     def _follow(self, old: State, new: State) -> None:
-        """Keeps the overlay up to date with the cameras and the choices."""
+        """Keeps the pictures up to date with the cameras and the choices."""
+        self._follow_review(old, new)
         wanted, before = _view(new), _view(old)
         if new.run.is_active:
             if wanted != before:
@@ -283,6 +335,24 @@ class Conductor:
             names = tuple(entry.name for entry in new.document.used)
             truth = new.document.true_cameras(names)
             self.worker.send(DrawOverlay(cameras, wanted, truth))
+
+    def _follow_review(self, old: State, new: State) -> None:
+        """Has a run that waits for a decision drawn beside what it is compared with."""
+        if new.run.status != "review":
+            if old.run.status == "review":
+                self.comparison = None
+            return
+        wanted, before = _comparison(new), _comparison(old)
+        if wanted is None or (
+            before is not None
+            and wanted.style == before.style
+            and all(map(same_camera, wanted.before, before.before))
+            and all(map(same_camera, wanted.after, before.after))
+        ):
+            return
+        with self._lock:
+            self._send_scene(new.document)
+            self.worker.send(wanted)
 
     def _send_scene(self, document: Document) -> None:
         sent = self._scene_sent
@@ -338,6 +408,18 @@ def _must_be_idle(state: State) -> None:
         raise RefinementError(f"{state.job.title} is still going on. Wait for its end.")
 
 
+def _with_status(status: Status, *before: Status) -> Callable[[State], State]:
+    """Puts the run into a status if it is in one of those ``before``."""
+
+    def change(state: State) -> State:
+        if state.run.status not in before:
+            return state
+        run = dataclasses.replace(state.run, status=status)
+        return dataclasses.replace(state, run=run)
+
+    return change
+
+
 def _view(state: State) -> OverlayView:
     return OverlayView(
         state.overlay_style,
@@ -345,7 +427,28 @@ def _view(state: State) -> OverlayView:
         state.overlay_share,
         state.through_style,
         state.mesh_opacity if state.through_style == "normals" else 0.0,
+        state.start_line,
+        state.surface,
     )
+
+
+def _comparison(state: State) -> Compare | None:
+    """The run on screen, and what it is compared with; None without one.
+
+    A photo that is used now but was not in one of them keeps its own camera.
+    """
+    run = state.run
+    if run.status != "review":
+        return None
+    other = dict(zip(run.photo_names, run.start, strict=True))
+    for candidate in state.runs:
+        if candidate.number == state.compared_with:
+            other |= dict(zip(candidate.photo_names, candidate.cameras, strict=True))
+    used = state.document.used
+    if len(used) < 2:
+        return None
+    before = tuple(other.get(entry.name, entry.camera) for entry in used)
+    return Compare(before, _shown_cameras(state), state.overlay_style)
 
 
 def _shown_cameras(state: State) -> tuple[Camera, ...]:

@@ -6,16 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from app.state import (
-    Agreement,
-    CurvePoint,
-    OverlayStyle,
-    PresetName,
-    ThroughStyle,
-)
+from app.run import CurvePoint
+from app.state import Agreement, OverlayStyle, Surface, ThroughStyle
+from app.timing import Speed
 from photoreg.camera import Camera
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
+from photoreg.presets import RegistrationConfig
+from photoreg.readiness import Readiness
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -55,6 +53,10 @@ class OverlayView:
     """What a view through the photo needs beside the overlay."""
     mesh_opacity: float = 0.5
     """How much of the normals is mixed into the photo."""
+    start_line: float | None = None
+    """Where the start ends and the overlay now begins, as a share of the width."""
+    surface: Surface = "clay"
+    """What the object shows in the 3-D view while a run goes on."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -71,9 +73,28 @@ class Refine:
     """Refine these cameras of the scene's photos."""
 
     cameras: tuple[Camera, ...]
-    preset: PresetName
+    config: RegistrationConfig
     view: OverlayView
     truth: tuple[Camera, ...] | None
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Compare:
+    """Draw the overlays of two sets of cameras, and where their photos disagree."""
+
+    before: tuple[Camera, ...]
+    after: tuple[Camera, ...]
+    style: OverlayStyle
+
+
+@dataclasses.dataclass(frozen=True)
+class Pause:
+    """Halt the refinement where it is."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Resume:
+    """Go on with the refinement."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,6 +139,8 @@ class Live:
     """A ``photoreg.registration.Progress``."""
     curve: tuple[CurvePoint, ...]
     """The cost curve since the last of these."""
+    paused_s: float = 0.0
+    """Seconds of pauses so far."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -153,6 +176,56 @@ class Refined:
     """A ``photoreg.registration.Finished``, or None."""
     start_error_px: float | None
     error_px: float | None
+    paused_s: float = 0.0
+    """Seconds of pauses."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SurfaceDrawn:
+    """The object with the photos, or their disagreement, on it."""
+
+    glb: bytes
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PhotoComparison:
+    """Before and after in one photo; all pictures are JPEG files."""
+
+    name: str
+    carried: str
+    """Name of the photo carried over into it."""
+    before: bytes
+    after: bytes
+    disagreement_before: bytes
+    disagreement_after: bytes
+    levels_before: float | None
+    """Mean disagreement in grey levels of 255; None where nothing is shared."""
+    levels_after: float | None
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Compared:
+    """Two sets of cameras beside each other, in every photo."""
+
+    before: tuple[Camera, ...]
+    after: tuple[Camera, ...]
+    style: OverlayStyle
+    photos: tuple[PhotoComparison, ...]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Checked:
+    """Whether a refinement from these cameras can work."""
+
+    cameras: tuple[Camera, ...]
+    readiness: Readiness
+
+
+@dataclasses.dataclass(frozen=True)
+class Timed:
+    """How fast this machine is with the scene."""
+
+    speed: Speed
 
 
 @dataclasses.dataclass(frozen=True)
@@ -190,7 +263,19 @@ class Died:
     exit_code: int | None
 
 
-Job = SetScene | LoadMesh | LoadPhoto | DrawOverlay | Refine | Bake | OverlayView | Stop
+Job = (
+    SetScene
+    | LoadMesh
+    | LoadPhoto
+    | DrawOverlay
+    | Refine
+    | Compare
+    | Bake
+    | OverlayView
+    | Pause
+    | Resume
+    | Stop
+)
 Event = (
     Ready
     | MeshLoaded
@@ -198,9 +283,15 @@ Event = (
     | Live
     | Picture
     | Measured
+    | SurfaceDrawn
     | Refined
+    | Compared
+    | Checked
+    | Timed
     | Working
     | Baked
     | Failed
     | Died
 )
+Passing = Live | Picture | Measured | SurfaceDrawn
+"""Events of which only the newest is worth telling."""

@@ -3,9 +3,11 @@
 import dataclasses
 
 from app import session as rules
-from app.messages import Live, MeshLoaded, PhotoLoaded, Picture, Refined
+from app.messages import Checked, Live, MeshLoaded, PhotoLoaded, Picture, Refined
 from app.placement import first_camera
-from app.state import Document, Run, State, same_camera
+from app.run import CurvePoint, Run
+from app.state import Document, State, same_camera
+from app.timing import seconds_left
 from photoreg.camera import Camera
 
 MAX_CURVE_POINTS = 600
@@ -41,24 +43,42 @@ def with_photo(state: State, event: PhotoLoaded) -> State:
 
 def advanced(state: State, event: Live) -> State:
     """The run goes on: its newest best cameras, cost and words."""
-    if not state.run.is_active:
+    run, progress = state.run, event.progress
+    if not run.is_active:
         return state
-    progress, run = event.progress, state.run
     curve = (*run.curve, *event.curve)
     if len(curve) > MAX_CURVE_POINTS:
-        curve = (*curve[:-1:2], curve[-1])
+        curve = (*_thinned(curve[:-1]), curve[-1])
+    elapsed_s = progress.elapsed_s - event.paused_s
+    rate = run.evaluations_per_s
+    if progress.evaluations > run.evaluations > 0 and elapsed_s > run.elapsed_s:
+        now = (progress.evaluations - run.evaluations) / (elapsed_s - run.elapsed_s)
+        rate = now if rate is None else 0.7 * rate + 0.3 * now
+    config = run.config or state.settings
     run = dataclasses.replace(
         run,
         status="running" if run.status == "starting" else run.status,
         phase=progress.phase,
         step=progress.step,
         fraction=progress.fraction,
-        elapsed_s=progress.elapsed_s,
+        elapsed_s=elapsed_s,
+        generation=progress.generation,
         evaluations=progress.evaluations,
+        evaluations_per_s=rate,
+        time_left_s=seconds_left(
+            state.speed, run.preset, config, progress, rate, elapsed_s
+        ),
         cameras=tuple(progress.cameras),
         curve=curve,
     )
     return dataclasses.replace(state, run=run)
+
+
+def _thinned(curve: tuple[CurvePoint, ...]) -> tuple[CurvePoint, ...]:
+    """Every second point, and every point where something begins."""
+    return tuple(
+        point for i, point in enumerate(curve) if i % 2 == 0 or point.mark != ""
+    )
 
 
 def measured(state: State, event: Picture) -> State:
@@ -73,6 +93,14 @@ def measured(state: State, event: Picture) -> State:
     return dataclasses.replace(state, run=run)
 
 
+def checked(state: State, event: Checked) -> State:
+    """What a refinement can be expected to bring, if it is about the cameras now."""
+    now = state.document.used_cameras
+    if len(now) != len(event.cameras) or not all(map(same_camera, now, event.cameras)):
+        return state
+    return dataclasses.replace(state, readiness=event.readiness)
+
+
 def ended(state: State, event: Refined) -> State:
     """The run is over; its cameras wait to be accepted or reverted."""
     run, finished = state.run, event.finished
@@ -80,15 +108,16 @@ def ended(state: State, event: Refined) -> State:
         return state
     run = dataclasses.replace(
         run,
-        status="review",
         cameras=event.cameras,
         fraction=1.0,
         start_error_px=event.start_error_px,
         error_px=event.error_px,
-        step="",
     )
     if finished is None:
-        run = dataclasses.replace(run, outcome="Stopped; this is the best until then.")
+        outcome = "Stopped; this is the best until then."
+        if run.is_unwanted:
+            outcome = "Stopped and reverted."
+        run = dataclasses.replace(run, outcome=outcome)
     else:
         run = dataclasses.replace(
             run,
@@ -96,10 +125,14 @@ def ended(state: State, event: Refined) -> State:
             warnings=tuple(finished.warnings),
             start_cost=finished.start_cost,
             cost=finished.cost,
-            elapsed_s=finished.elapsed_s,
+            elapsed_s=finished.elapsed_s - event.paused_s,
             evaluations=finished.evaluations,
+            generation=finished.generations,
+            expected_errors_px=tuple(finished.expected_errors_px),
+            standard_errors=tuple(finished.standard_errors),
+            undetermined=tuple(finished.undetermined),
         )
-    return dataclasses.replace(state, run=run)
+    return kept(state, run)
 
 
 def broken_off(state: State, outcome: str, keep: bool) -> State:
@@ -112,5 +145,16 @@ def broken_off(state: State, outcome: str, keep: bool) -> State:
     )
     if not keep or not moved:
         return dataclasses.replace(state, run=Run())
-    run = dataclasses.replace(run, status="review", step="", outcome=outcome)
-    return dataclasses.replace(state, run=run)
+    return kept(state, dataclasses.replace(run, outcome=outcome))
+
+
+def kept(state: State, run: Run) -> State:
+    """Puts an ended run into the list, and on screen unless nobody wants it."""
+    run = dataclasses.replace(run, status="review", step="", time_left_s=None)
+    others = tuple(other for other in state.runs if other.number != run.number)
+    return dataclasses.replace(
+        state,
+        runs=(*others, run),
+        run=Run() if run.is_unwanted else run,
+        compared_with=0,
+    )

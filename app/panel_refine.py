@@ -8,8 +8,10 @@ import viser.uplot
 
 from app.conductor import Conductor
 from app.controls import guarded, number, put, put_value
+from app.run import Run
 from app.session import setting
-from app.state import OverlayStyle, PresetName, Run, State
+from app.state import OverlayStyle, State
+from photoreg.presets import PresetName
 
 PRESETS: dict[str, PresetName] = {
     "Standard": "default",

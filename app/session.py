@@ -9,7 +9,8 @@ import threading
 from collections.abc import Callable, Hashable
 from typing import Any
 
-from app.state import Document, PhotoEntry, Run, State
+from app.run import Run
+from app.state import Document, PhotoEntry, State
 from photoreg.camera import Camera
 from photoreg.errors import InputError, RefinementError
 from photoreg.photo import Photo
@@ -209,11 +210,25 @@ def accepted(state: State) -> State:
         raise RefinementError("There is no finished refinement to accept.")
     cameras = dict(zip(state.run.photo_names, state.run.cameras, strict=True))
     run = Run(error_px=state.run.error_px)
-    return dataclasses.replace(with_cameras(cameras)(state), run=run)
+    return dataclasses.replace(with_cameras(cameras)(state), run=run, compared_with=0)
 
 
 def reverted(state: State) -> State:
     """Leaves the run's cameras; those from before it are in force again."""
     if state.run.status != "review":
         raise RefinementError("There is no finished refinement to revert.")
-    return dataclasses.replace(state, run=Run())
+    return dataclasses.replace(state, run=Run(), compared_with=0)
+
+
+def looking_at(number: int) -> Change:
+    """Puts an ended run on screen, to be compared, accepted or left."""
+
+    def change(state: State) -> State:
+        if state.run.is_active:
+            raise RefinementError("The refinement is running. Stop it first.")
+        for run in state.runs:
+            if run.number == number:
+                return dataclasses.replace(state, run=run, compared_with=0)
+        raise InputError(f"There is no run {number} any more.")
+
+    return change

@@ -10,22 +10,25 @@ from typing import Literal
 import numpy as np
 
 from app.masks import decode_mask, encode_mask
+from app.run import Run
+from app.timing import Speed
 from photoreg.camera import Camera
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
+from photoreg.presets import PresetName, RegistrationConfig
+from photoreg.readiness import Readiness
 
 SAME_CAMERA_TOLERANCE = 1e-10
 """Relative difference under which two cameras count as the same. Poses pass through
 quaternions on their way to the page and back, which costs about 1e-15."""
 
-Status = Literal["idle", "starting", "running", "stopping", "review"]
-PresetName = Literal["default", "fast", "thorough", "paper"]
 OverlayStyle = Literal["blend", "checkerboard", "difference", "edges", "blink", "swipe"]
 """How two photos are laid over each other."""
 ThroughStyle = Literal["surface", "wireframe", "lines", "normals", "photo"]
 """What lies over a photo that is looked through: the mesh, drawn in one of four ways,
 or another photo, in the overlay style."""
 GizmoKind = Literal["move", "orbit"]
+Surface = Literal["clay", "photos", "disagreement"]
 
 
 def same_camera(a: Camera, b: Camera) -> bool:
@@ -145,50 +148,6 @@ class Document:
         return tuple(known[name] for name in names)
 
 
-@dataclasses.dataclass(frozen=True)
-class CurvePoint:
-    """One point of the cost curve."""
-
-    step: int
-    """Which step of search and polish it is, from 0."""
-    best: float
-    """Cost of the best, relative to the first."""
-    median: float
-    """The same of the population's median; equal to ``best`` without one."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Run:
-    """A refinement: running, or ended and waiting to be accepted or reverted."""
-
-    status: Status = "idle"
-    photo_names: tuple[str, ...] = ()
-    start: tuple[Camera, ...] = ()
-    cameras: tuple[Camera, ...] = ()
-    """The best so far, in the order of ``photo_names``."""
-    phase: str = ""
-    step: str = ""
-    fraction: float = 0.0
-    elapsed_s: float = 0.0
-    evaluations: int = 0
-    curve: tuple[CurvePoint, ...] = ()
-    start_cost: float | None = None
-    """Photo-inconsistency of the start; known at the end."""
-    cost: float | None = None
-    """The same of the answer, measured in the same way."""
-    start_error_px: float | None = None
-    """Mean projection error against the truth, where it is known."""
-    error_px: float | None = None
-    outcome: str = ""
-    """How it ended, in words."""
-    warnings: tuple[str, ...] = ()
-
-    @property
-    def is_active(self) -> bool:
-        """Whether the worker is at it."""
-        return self.status in ("starting", "running", "stopping")
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Texture:
     """A textured model as made by the worker."""
@@ -250,9 +209,27 @@ class State:
     keep_size: bool = True
     """Whether a change of focal length keeps the object's size in the photo."""
     preset: PresetName = "default"
+    """The settings of the next run, by name."""
+    config: RegistrationConfig | None = None
+    """Settings changed against the preset; None: the preset's own."""
+    start_line: float | None = None
+    """Where the line is between the start, on the left, and the overlay now, as a share
+    of the width; None: no line."""
+    surface: Surface = "photos"
+    """What the object shows while a run is on screen: nothing, the photos laid onto it,
+    or where they disagree."""
     dark: bool = True
     show_texture: bool = True
     run: Run = dataclasses.field(default_factory=Run)
+    """The run on screen."""
+    runs: tuple[Run, ...] = ()
+    """All runs that have ended, the oldest first."""
+    readiness: Readiness | None = None
+    """Whether a refinement from the cameras on screen can work; None: not yet known."""
+    speed: Speed | None = None
+    """How fast this machine refines the scene; None: not measured yet."""
+    compared_with: int = 0
+    """Number of the run that the one on screen is compared with; 0: its start."""
     job: Job | None = None
     texture: Texture | None = None
     worker: str = "Starting the engine"
@@ -261,6 +238,11 @@ class State:
     """The last thing that happened, for the status line."""
     undo_name: str | None = None
     redo_name: str | None = None
+
+    @property
+    def settings(self) -> RegistrationConfig:
+        """What the next run is told."""
+        return self.config or RegistrationConfig.preset(self.preset)
 
     @property
     def photos(self) -> tuple[PhotoEntry, ...]:

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 
-from app.messages import Died, Event, Job, Live, Measured, Picture, Stop
+from app.messages import Died, Event, Job, Live, Passing, Pause, Resume, Stop
 
 log = logging.getLogger(__name__)
 
@@ -55,6 +55,14 @@ class Worker:
     def stop_refinement(self) -> None:
         """Asks the running refinement to end and report its best."""
         self.send(Stop())
+
+    def pause_refinement(self) -> None:
+        """Halts the running refinement where it is."""
+        self.send(Pause())
+
+    def resume_refinement(self) -> None:
+        """Goes on with a refinement that was halted."""
+        self.send(Resume())
 
     def close(self) -> None:
         """Ends the process; no event arrives afterwards."""
@@ -164,5 +172,5 @@ def newest(events: list[Event]) -> list[Event]:
     return [
         dataclasses.replace(event, curve=curve) if isinstance(event, Live) else event
         for i, event in enumerate(events)
-        if not isinstance(event, Live | Picture | Measured) or last[type(event)] == i
+        if not isinstance(event, Passing) or last[type(event)] == i
     ]

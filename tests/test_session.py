@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from app import session as rules
+from app.run import Run, Status
 from app.session import Session
-from app.state import Document, PhotoEntry, Run, State, Status, same_camera
+from app.state import Document, PhotoEntry, State, same_camera
 from app.warm_up import toy_scene
 from photoreg.camera import Camera
 from photoreg.errors import InputError, RefinementError
@@ -144,7 +145,7 @@ def test_a_photo_of_a_taken_name_gets_a_number(session):
 def run_of(document: Document, status: Status) -> Run:
     names = tuple(entry.name for entry in document.photos)
     refined = tuple(moved(camera, 0.5) for camera in document.used_cameras)
-    return Run(status, names, document.used_cameras, refined)
+    return Run(status, photo_names=names, start=document.used_cameras, cameras=refined)
 
 
 def test_while_a_refinement_runs_the_document_is_closed(session, document):

@@ -28,8 +28,9 @@ from app.messages import (
     SetScene,
     Stop,
 )
+from app.run import CurvePoint
 from app.session import Session
-from app.state import CurvePoint, Document, PhotoEntry, State, same_camera
+from app.state import Document, PhotoEntry, State, same_camera
 from app.worker import Worker, newest
 from photoreg.errors import InputError, RefinementError
 from photoreg.registration import Finished, RegistrationConfig, refine
@@ -37,6 +38,8 @@ from photoreg.synthetic import Scene, SceneOptions, make_scene
 from tests.browser.driver import wait_until
 
 VIEW = OverlayView("blend", 0)
+FAST = RegistrationConfig.preset("fast")
+THOROUGH = RegistrationConfig.preset("thorough")
 
 
 class Listener:
@@ -75,7 +78,7 @@ def test_the_worker_s_answer_is_the_engine_s_to_the_bit(shared, scene):
     worker, listener = shared
     mesh, photos, cameras = scene.mesh, scene.photos, scene.cameras
     start = scene.rough_cameras
-    worker.send(SetScene(mesh, photos), Refine(start, "fast", VIEW, cameras))
+    worker.send(SetScene(mesh, photos), Refine(start, FAST, VIEW, cameras))
     refined = listener.wait_for(Refined)
     *_, last = refine(mesh, photos, start, RegistrationConfig.preset("fast"))
     assert isinstance(last, Finished)
@@ -89,7 +92,7 @@ def test_stop_ends_the_run_with_the_best_so_far(shared, scene):
     worker, listener = shared
     start = scene.rough_cameras
     worker.send(SetScene(scene.mesh, scene.photos))
-    worker.send(Refine(start, "thorough", VIEW, None))
+    worker.send(Refine(start, THOROUGH, VIEW, None))
     lives = [listener.wait_for(Live)]
     while not lives[-1].curve or lives[-1].curve[-1].best > 0.9:
         lives.append(listener.wait_for(Live))
@@ -104,7 +107,7 @@ def test_stop_ends_the_run_with_the_best_so_far(shared, scene):
 
 def test_pictures_come_while_the_search_runs(shared, scene):
     worker, listener = shared
-    job = Refine(scene.rough_cameras, "thorough", VIEW, scene.cameras)
+    job = Refine(scene.rough_cameras, THOROUGH, VIEW, scene.cameras)
     worker.send(SetScene(scene.mesh, scene.photos), job)
     pictures = [listener.wait_for(Picture) for _ in range(3)]
     worker.send(OverlayView("difference", 1))
@@ -132,7 +135,7 @@ def test_a_file_that_is_no_photo_is_a_sentence_and_no_crash(shared, tmp_path):
 def test_a_stop_that_comes_too_late_does_no_harm(shared, scene):
     worker, listener = shared
     worker.send(Stop(), SetScene(scene.mesh, scene.photos))
-    worker.send(Refine(scene.rough_cameras, "fast", VIEW, None))
+    worker.send(Refine(scene.rough_cameras, FAST, VIEW, None))
     assert listener.wait_for(Refined).finished is not None
 
 

@@ -1,0 +1,236 @@
+"""Pictures of a scene, drawn in the worker: overlays, comparisons, the live surface."""
+
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterator
+
+import cv2
+import numpy as np
+
+from app.live_surface import LiveSurface
+from app.messages import (
+    Compare,
+    Compared,
+    DrawOverlay,
+    Event,
+    Failed,
+    OverlayView,
+    PhotoComparison,
+    Picture,
+    SurfaceDrawn,
+)
+from photoreg.camera import Camera
+from photoreg.errors import PhotoregError
+from photoreg.evaluate import projection_error
+from photoreg.inconsistency import disagreement_picture, mean_disagreement
+from photoreg.mesh import Mesh
+from photoreg.overlay import AlignedPair, LiveOverlay, compose, swipe
+from photoreg.photo import Photo
+from photoreg.surface_lines import SurfaceLines, shaded_normals
+
+PICTURE_SIDE_PX = 1024
+SURFACE_PERIOD_S = 0.45
+"""Time between two states of the surface during a refinement."""
+
+ERROR_SAMPLES = 2_000
+JPEG_QUALITY = 82
+
+
+class Drawing:
+    """Pictures of one scene; what does not change is prepared once."""
+
+    def __init__(self, mesh: Mesh, photos: tuple[Photo, ...]) -> None:
+        self._mesh = mesh
+        self._photos = photos
+        self._overlay = LiveOverlay(mesh, photos, PICTURE_SIDE_PX)
+        self._lines: SurfaceLines | None = None
+        self._pair: tuple[object, AlignedPair] | None = None
+        self._start: tuple[object, np.ndarray] | None = None
+        self._surface: LiveSurface | None = None
+
+    def picture(
+        self,
+        cameras: tuple[Camera, ...],
+        view: OverlayView,
+        truth: tuple[Camera, ...] | None,
+        start: tuple[Camera, ...] | None = None,
+    ) -> Picture:
+        """The overlay, and what a view through the photo needs beside it.
+
+        Args:
+            cameras: One a photo.
+            view: What to draw.
+            truth: The true cameras, where they are known.
+            start: The cameras before, for a line between before and now.
+        """
+        overlay, onto = self._overlay, view.onto % len(cameras)
+        key = (onto, tuple(map(id, cameras)))
+        if self._pair is None or self._pair[0] != key:
+            # A slider of the overlay's asks for the same pair again and again. The
+            # cameras are kept with it: ids of living objects do not repeat.
+            carried = (onto + 1) % len(cameras)
+            self._pair = (key, overlay.pair(cameras, onto, carried))
+            self._cameras = cameras
+        pair = self._pair[1]
+        other = normals = lines = None
+        if view.style == "blink":
+            jpeg = encode_jpeg(pair.base)
+            other = encode_jpeg(compose(pair, "carried"))
+        else:
+            picture = compose(pair, view.style, view.share)
+            if start is not None and view.start_line is not None:
+                before = self._start_picture(start, view, onto)
+                picture = swipe(before, picture, view.start_line)
+            jpeg = encode_jpeg(picture)
+        if view.through == "normals":
+            normals = encode_jpeg(
+                shaded_normals(
+                    overlay.mesh, overlay.photos[onto], cameras[onto], view.mesh_opacity
+                )
+            )
+        if view.through == "lines":
+            if self._lines is None:
+                self._lines = SurfaceLines(overlay.mesh)
+            lines = self._lines.seen_from(cameras[onto])
+        return Picture(
+            jpeg,
+            true_error(self._mesh, truth, cameras),
+            other,
+            self._photos[onto].name,
+            normals,
+            lines,
+        )
+
+    def _start_picture(
+        self, start: tuple[Camera, ...], view: OverlayView, onto: int
+    ) -> np.ndarray:
+        key = (onto, view.style, view.share, tuple(map(id, start)))
+        if self._start is None or self._start[0] != key:
+            pair = self._overlay.pair(start, onto, (onto + 1) % len(start))
+            picture = compose(pair, "blend" if view.style == "blink" else view.style)
+            self._start = (key, picture)
+            self._start_cameras = start  # Ids of living objects do not repeat.
+        return self._start[1]
+
+    def surface(self, cameras: tuple[Camera, ...], view: OverlayView) -> SurfaceDrawn:
+        """The object with what the view wants on it."""
+        if self._surface is None:
+            self._surface = LiveSurface(self._overlay.mesh, self._photos)
+        return SurfaceDrawn(self._surface.glb(cameras, view.surface))
+
+    def comparison(self, job: Compare) -> Compared:
+        """Two sets of cameras beside each other, in every photo."""
+        overlay, photos = self._overlay, []
+        mode = "carried" if job.style in ("blink", "swipe") else job.style
+        for onto, photo in enumerate(overlay.photos):
+            carried = (onto + 1) % len(overlay.photos)
+            before = overlay.pair(job.before, onto, carried)
+            after = overlay.pair(job.after, onto, carried)
+            photos.append(
+                PhotoComparison(
+                    photo.name,
+                    overlay.photos[carried].name,
+                    encode_jpeg(compose(before, mode)),
+                    encode_jpeg(compose(after, mode)),
+                    encode_jpeg(disagreement_picture(before)),
+                    encode_jpeg(disagreement_picture(after)),
+                    mean_disagreement(before),
+                    mean_disagreement(after),
+                )
+            )
+        return Compared(job.before, job.after, job.style, tuple(photos))
+
+
+class Painter:
+    """Draws the newest cameras on its own thread, and skips what is overtaken.
+
+    The overlay's kernels are not parallel and hold no lock, so they run beside a
+    search on another core; neither search nor measurement waits for a picture.
+    """
+
+    def __init__(self, send: Callable[[Event], None]) -> None:
+        self._send = send
+        self._newest: Callable[[], Iterator[Event]] | None = None
+        self._surface_at = -np.inf
+        self._period_s = 0.0
+        self._changed = threading.Condition()
+        self._is_busy = False
+        threading.Thread(target=self._paint, daemon=True, name="painter").start()
+
+    def offer(
+        self,
+        drawing: Drawing,
+        cameras: tuple[Camera, ...],
+        view: OverlayView,
+        truth: tuple[Camera, ...] | None,
+        period_s: float = 0.0,
+        start: tuple[Camera, ...] | None = None,
+    ) -> None:
+        """What to draw next, unless something newer comes first.
+
+        With ``start``, a refinement is going on, and the surface is drawn too.
+        """
+
+        def draw() -> Iterator[Event]:
+            yield drawing.picture(cameras, view, truth, start)
+            is_due = time.monotonic() - self._surface_at >= SURFACE_PERIOD_S
+            if start is not None and view.surface != "clay" and is_due:
+                self._surface_at = time.monotonic()
+                yield drawing.surface(cameras, view)
+
+        with self._changed:
+            self._newest = draw
+            self._period_s = period_s
+            self._changed.notify_all()
+
+    def finish(self) -> None:
+        """Drops what waits, and waits until nothing is being drawn."""
+        with self._changed:
+            self._newest = None
+            self._changed.wait_for(lambda: not self._is_busy)
+
+    def _paint(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._newest is not None)
+                draw, period_s = self._newest, self._period_s
+                assert draw is not None
+                self._newest, self._is_busy = None, True
+            started = time.monotonic()
+            try:
+                for event in draw():
+                    self._send(event)
+            except PhotoregError as error:
+                # A pose from which nothing is seen has no picture.
+                self._send(Failed(DrawOverlay.__name__, str(error)))
+            except (EOFError, OSError):
+                return  # The app is gone.
+            except Exception:  # noqa: BLE001 - the border of a thread: report.
+                self._send(
+                    Failed(DrawOverlay.__name__, "No picture.", traceback.format_exc())
+                )
+            with self._changed:
+                self._is_busy = False
+                self._changed.notify_all()
+            if period_s > 0.0:
+                # Never more than two fifths of a core, however slow this machine is.
+                spent = time.monotonic() - started
+                time.sleep(max(period_s - spent, 1.5 * spent, 0.0))
+
+
+def encode_jpeg(picture: np.ndarray) -> bytes:
+    """A picture (h, w, 3) in sRGB bytes as a JPEG file."""
+    bgr = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
+    done, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    assert done
+    return data.tobytes()
+
+
+def true_error(
+    mesh: Mesh, truth: tuple[Camera, ...] | None, cameras: tuple[Camera, ...]
+) -> float | None:
+    """Mean projection error in pixels (eq. 5), None where the truth is not known."""
+    if truth is None:
+        return None
+    return projection_error(mesh, truth, cameras, n_samples=ERROR_SAMPLES).mean

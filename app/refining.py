@@ -1,0 +1,116 @@
+"""One refinement in the worker process: run it, tell of it, pause it, stop it."""
+
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from app.cost_curve import CostCurve
+from app.drawing import Drawing, Painter, true_error
+from app.messages import (
+    Event,
+    Job,
+    Live,
+    OverlayView,
+    Pause,
+    Refine,
+    Refined,
+    Resume,
+    Stop,
+)
+from photoreg.camera import Camera
+from photoreg.mesh import Mesh
+from photoreg.photo import Photo
+from photoreg.registration import Finished, refine
+
+PICTURE_PERIOD_S = 0.18
+"""Time between overlay pictures during a refinement: five and a half a second."""
+
+LIVE_PERIOD_S = 0.08
+JUDGE_PERIOD_S = 0.3
+"""Time between measurements during a refinement: 2 ms each, under a hundredth of it."""
+
+
+class Refining:
+    """A refinement and what is told of it meanwhile."""
+
+    def __init__(
+        self,
+        job: Refine,
+        mesh: Mesh,
+        photos: tuple[Photo, ...],
+        drawing: Drawing,
+        painter: Painter,
+        measure: Callable[[tuple[Camera, ...]], None],
+        send: Callable[[Event], None],
+    ) -> None:
+        self._job, self._mesh, self._photos = job, mesh, photos
+        self._drawing, self._painter = drawing, painter
+        self._measure, self._send = measure, send
+        self._view = job.view
+        self._best = job.cameras
+        self._paused_s = 0.0
+
+    def run(self, messages: Callable[[bool], Iterator[Job]]) -> None:
+        """Refines to the end, or until it is told to stop.
+
+        Args:
+            messages: What the app sent since it was asked last; if told so, it waits
+                for something.
+        """
+        job = self._job
+        start_error = true_error(self._mesh, job.truth, job.cameras)
+        finished, last, costs, curve = None, None, CostCurve(), []
+        sent_at = judged_at = -np.inf
+        for event in refine(self._mesh, self._photos, job.cameras, job.config):
+            self._best = tuple(event.cameras)
+            if isinstance(event, Finished):
+                finished = event
+                break
+            last = event
+            self._paint()
+            now = time.monotonic()
+            curve.extend(costs.points(event))
+            if now - sent_at >= LIVE_PERIOD_S:
+                self._send(Live(event, tuple(curve), self._paused_s))
+                sent_at = now
+                curve.clear()
+            if now - judged_at >= JUDGE_PERIOD_S:
+                self._measure(self._best)
+                judged_at = now
+            if self._must_stop(messages):
+                break
+        if last is not None:
+            self._send(Live(last, tuple(curve), self._paused_s))
+        self._measure(self._best)
+        self._painter.finish()
+        self._send(
+            self._drawing.picture(self._best, self._view, job.truth, job.cameras)
+        )
+        error = true_error(self._mesh, job.truth, self._best)
+        self._send(Refined(self._best, finished, start_error, error, self._paused_s))
+
+    def _paint(self, period_s: float = PICTURE_PERIOD_S) -> None:
+        job = self._job
+        self._painter.offer(
+            self._drawing, self._best, self._view, job.truth, period_s, job.cameras
+        )
+
+    def _must_stop(self, messages: Callable[[bool], Iterator[Job]]) -> bool:
+        is_paused, began = False, time.monotonic()
+        while True:
+            for message in messages(is_paused):
+                match message:
+                    case Stop():
+                        return True
+                    case OverlayView():
+                        self._view = message
+                        if is_paused:
+                            self._paint()
+                    case Pause():
+                        is_paused, began = True, time.monotonic()
+                    case Resume() if is_paused:
+                        is_paused = False
+                        self._paused_s += time.monotonic() - began
+            if not is_paused:
+                return False
