@@ -13,6 +13,7 @@ from photoreg.kernels_polish import colours_at
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.photometric import (
+    EDGE_MARGIN_PX,
     cell_means,
     measure_noise,
     pair_points,
@@ -57,7 +58,7 @@ def disagreement(
                 (views[i], views[k]),
                 N_POINTS,
                 CELL_PX,
-                0.0,
+                EDGE_MARGIN_PX,
                 min_cosine,
                 seed=0,
             )

@@ -13,6 +13,7 @@ from photoreg.increments import N_INCREMENTS, Increments, PriorScales
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.photometric import (
+    EDGE_MARGIN_PX,
     PairTerm,
     SurfaceView,
     camera_rays,
@@ -321,7 +322,7 @@ def _terms(
             (views[i], views[k]),
             max(500, n_points // len(pairs)),
             cell,
-            0.0,
+            EDGE_MARGIN_PX,
             config.min_cosine,
             seed,
         )

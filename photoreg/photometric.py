@@ -1,6 +1,7 @@
 """Photo-consistency for the polish: photos on a level, surface points, the pair's term."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import cv2
@@ -26,6 +27,15 @@ CUT = 2.0
 """Scale of the Cauchy cost in residual sigmas."""
 BLOCK_SIDES = (1, 2, 4)
 """Sides, in cells, of the blocks over which errors may be alike."""
+EDGE_MARGIN_PX = 2.0
+"""Points this near to a rim or to another jump of depth are left out: their pixels mix
+two surfaces. Where a shell's ribs hide each other these few points moved the answer by
+0.18 px without any noise; without them it is 0.04."""
+JUMP_SLOPE = 12.0
+"""A jump is where the depth over three pixels changes by this many times the pixel's
+size: the steepest points that count, 75 degrees, reach 11."""
+MIN_INNER_SHARE = 0.1
+"""Least share of what is seen that keeps the margin; thinner things go without."""
 MIN_SIGNAL = 0.05
 """Least share of the slopes' energy taken for signal."""
 MIN_SIGMA = 0.5
@@ -51,6 +61,15 @@ class SurfaceView:
     """Whether the pixel's centre shows the mesh."""
     depth: Float[np.ndarray, "h w"]
     """Depth along the camera's z axis in model units; infinity where nothing is seen."""
+
+    @functools.cached_property
+    def inner(self) -> Float[np.ndarray, "h w"]:
+        """Distance in pixels to the nearest jump of depth, the rim included."""
+        depth = np.where(self.covered, self.depth, 0.0)
+        kernel = np.ones((3, 3), np.uint8)
+        change = cv2.dilate(depth, kernel) - cv2.erode(depth, kernel)
+        smooth = self.covered & (change * self.camera.focal_px < JUMP_SLOPE * depth)
+        return cv2.distanceTransform(smooth.astype(np.uint8), cv2.DIST_L2, 3)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -148,16 +167,17 @@ def pair_points(
         views: What the two cameras see.
         n_points: About how many points.
         cell_px: Side of a cell in pixels of the first view.
-        margin_px: Points nearer than this to the rim of the view, in pixels, are
-            left out.
+        margin_px: Points nearer than this to a jump of depth in either view, in
+            pixels, are left out.
         min_cosine: Least cosine between the surface's normal and the view.
         seed: Of the jitter.
     """
     view, other = views
     camera = view.camera
     rng = np.random.default_rng(seed)
-    inner = cv2.distanceTransform(view.covered.astype(np.uint8), cv2.DIST_L2, 3)
-    window = np.flatnonzero((view.covered & (inner > margin_px)).ravel())
+    window = np.flatnonzero((view.covered & (view.inner > margin_px)).ravel())
+    if len(window) < MIN_INNER_SHARE * view.covered.sum():
+        window, margin_px = np.flatnonzero(view.covered.ravel()), 0.0
     if len(window) == 0:
         window = np.zeros(1, dtype=np.int64)
     # Evenly spaced through the row-wise list, jittered: about even over the photo.
@@ -195,9 +215,8 @@ def pair_points(
     index = np.flatnonzero(keep)
     index = index[mesh.is_unoccluded(points[index], other.camera.center)]
     if margin_px > 0:
-        far = cv2.distanceTransform(other.covered.astype(np.uint8), cv2.DIST_L2, 3)
         at = np.rint(other.camera.project(points[index])).astype(int)
-        index = index[far[at[:, 1], at[:, 0]] > margin_px]
+        index = index[other.inner[at[:, 1], at[:, 0]] > margin_px]
     if len(index) > n_points:
         index = index[rng.permutation(len(index))[:n_points]]
     cell = np.floor(pixels[index] / cell_px).astype(np.int64)

@@ -5,9 +5,11 @@ import numpy as np
 import pytest
 
 from photoreg.alignment import PolishConfig, _terms, _working_size
+from photoreg.camera import Camera
 from photoreg.increments import Increments, PriorScales
 from photoreg.kernels_polish import colours_at
-from photoreg.photometric import CUT, PairTerm, measure_noise
+from photoreg.mesh import Mesh
+from photoreg.photometric import CUT, PairTerm, measure_noise, surface_view
 from tests.naive_photometric import catmull_rom, pair_cost
 from tests.polish_scene import make_polish_scene
 
@@ -34,6 +36,35 @@ def term_and_x(scene):
     terms = _terms(scene.mesh, scene.photos, increments, x, sizes, 0, config, 0)
     (pair,) = (term for term in terms if isinstance(term, PairTerm))
     return pair, x
+
+
+def test_distance_to_jumps_of_depth_sees_one_surface_hide_another():
+    # A wall, and before its left half a plate: they meet in the picture at x = 32.
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=float)
+    wall = np.column_stack([60 * square - 30, np.full(4, 20.0)])
+    plate = np.column_stack([30 * square - [30, 15], np.full(4, 10.0)])
+    faces = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
+    mesh = Mesh(np.vstack([wall, plate]), faces)
+    K = np.array([[50.0, 0, 31.5], [0, 50.0, 23.5], [0, 0, 1]])
+    view = surface_view(mesh, Camera(K, np.eye(3), np.zeros(3), 64, 48))
+    assert view.covered.all()
+    row = view.inner[24]
+    assert row[32] == 0.0
+    assert row[10] > 10.0
+    assert row[54] > 10.0
+
+
+def test_distance_to_jumps_of_depth_leaves_a_steep_slope_alone():
+    # Seen at 70 degrees, nearer to the view than the steepest points that count.
+    turn = np.deg2rad(70.0)
+    along = np.array([np.cos(turn), 0.0, np.sin(turn)])
+    corners = np.array([[-9, -9], [9, -9], [9, 9], [-9, 9]], dtype=float)
+    vertices = corners[:, :1] * along + corners[:, 1:] * [0, 1, 0] + [0, 0, 40]
+    mesh = Mesh(vertices, np.array([[0, 1, 2], [0, 2, 3]]))
+    K = np.array([[200.0, 0, 31.5], [0, 200.0, 31.5], [0, 0, 1]])
+    view = surface_view(mesh, Camera(K, np.eye(3), np.zeros(3), 64, 64))
+    middle = view.inner[31, 31]
+    assert middle > 4.0, middle
 
 
 def test_sampling_equals_its_twin():
