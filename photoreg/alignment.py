@@ -9,7 +9,13 @@ from jaxtyping import Float
 from photoreg.agreement import disagreement
 from photoreg.camera import Camera
 from photoreg.errors import InputError, RefinementError
-from photoreg.increments import N_INCREMENTS, Increments, PriorScales
+from photoreg.freedom import Freedom
+from photoreg.increments import (
+    N_INCREMENTS,
+    Increments,
+    PriorScales,
+    free_directions,
+)
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.photometric import (
@@ -91,6 +97,8 @@ class PolishStep:
     makes residuals dependent taken off, so that its inverse is the covariance."""
     increments: tuple[Increments, ...]
     """What the numbers mean."""
+    directions: Float[np.ndarray, "p q"]
+    """What moved by itself; see ``increments.free_directions``."""
     warnings: tuple[str, ...]
     """What the user should know, in sentences."""
     disagreement: float | None = None
@@ -108,6 +116,7 @@ def polish_cameras(
     seed: int = 0,
     box_scale: float = 1.0,
     start_disagreement: float | None = None,
+    freedom: Freedom | None = None,
 ) -> Iterator[PolishStep]:
     """Moves all cameras at once to where the photos agree on the surface.
 
@@ -120,6 +129,8 @@ def polish_cameras(
         seed: Of the sampling.
         box_scale: Factor on the prior's intervals.
         start_disagreement: ``agreement.disagreement`` of ``cameras``, if known.
+        freedom: What may move; None: everything. What is held, and shared focal
+            lengths, ``cameras`` have as ``prior_cameras`` do.
 
     Raises:
         InputError: if photos, cameras and priors are not of one number.
@@ -137,10 +148,19 @@ def polish_cameras(
         )
     scales = PriorScales().scaled(box_scale)
     sizes = [_working_size(photo, config.max_side_px) for photo in photos]
+    freedom = freedom or Freedom()
     increments = tuple(
-        Increments(_shaped_as(prior, camera), _pivot(mesh, camera, photo.name), scales)
-        for prior, camera, photo in zip(prior_cameras, cameras, photos, strict=True)
+        Increments(
+            _shaped_as(prior, camera),
+            _pivot(mesh, camera, photo.name),
+            scales,
+            freedom.of(i),
+        )
+        for i, (prior, camera, photo) in enumerate(
+            zip(prior_cameras, cameras, photos, strict=True)
+        )
     )
+    directions = free_directions(increments, freedom)
     x_start = np.concatenate(
         [inc.of_camera(c) for inc, c in zip(increments, cameras, strict=True)]
     )
@@ -160,7 +180,7 @@ def polish_cameras(
                 # In the first round the scores are dominated by the misalignment.
                 terms = [term.tempered(x) for term in terms]
             damping = Damping(max_iterations=config.iterations)
-            for step in minimise([prior, *terms], x, damping):
+            for step in minimise([prior, *terms], x, damping, directions):
                 x = step.x
                 done += step.iteration > 0
                 latest = PolishStep(
@@ -172,6 +192,7 @@ def polish_cameras(
                     x,
                     step.model.normal,
                     increments,
+                    directions,
                     warnings,
                 )
                 yield latest

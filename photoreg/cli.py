@@ -33,6 +33,7 @@ from photoreg.mesh import Mesh, load_mesh
 from photoreg.photo import Photo, load_photo
 from photoreg.registration import (
     Finished,
+    Freedom,
     PresetName,
     Progress,
     RegistrationConfig,
@@ -85,6 +86,11 @@ def _refine_command(preset: RegistrationConfig) -> Callable[..., int]:
         cameras: Path,
         out: Path,
         preset: PresetName = "default",
+        lock: tuple[str, ...] = (),
+        lock_focal: tuple[str, ...] = (),
+        lock_principal_point: tuple[str, ...] = (),
+        lock_pose: tuple[str, ...] = (),
+        share_focal: tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]] = (),
         json: bool = False,
         config: Annotated[RegistrationConfig, tyro.conf.arg(name="")] = preset,
     ) -> int:
@@ -99,14 +105,29 @@ def _refine_command(preset: RegistrationConfig) -> Callable[..., int]:
             out: Where the refined cameras go (.json).
             preset: Where the options below start from: default; fast, for a look;
                 thorough, for very rough starts; paper, the paper's genetic algorithm.
+            lock: Photos, by file name, whose cameras are right and stay as they are;
+                the others are registered against them.
+            lock_focal: Photos whose focal length stays as it is.
+            lock_principal_point: Photos whose principal point stays as it is.
+            lock_pose: Photos whose camera stays where it stands and as it is turned.
+            share_focal: Photos taken with one camera at one zoom: they get one focal
+                length. No names: all photos. Repeat it for another camera.
             json: Print the figures as JSON on standard output.
             config: How to refine.
         """
         del preset  # `config` began as it.
         check_output_file(out, (".json",))
         surface, pictures, file, start = _load_scene(mesh, photos, cameras)
-        last, interrupted = _watch(surface, pictures, start, config)
         names = [photo.name for photo in pictures]
+        freedom = Freedom.of_photos(
+            names,
+            lock=lock,
+            lock_focal=lock_focal,
+            lock_principal_point=lock_principal_point,
+            lock_pose=lock_pose,
+            share_focal=share_focal,
+        )
+        last, interrupted = _watch(surface, pictures, start, config, freedom)
         best = dict(zip(names, last.cameras, strict=True))
         save_cameras(out, file.with_cameras(best))
         if interrupted:
@@ -124,7 +145,7 @@ def _refine_command(preset: RegistrationConfig) -> Callable[..., int]:
             figures = {
                 field.name: getattr(last, field.name)
                 for field in dataclasses.fields(last)
-                if field.name != "cameras"
+                if field.name not in ("cameras", "population", "checkpoint")
             }
             if isinstance(last, Finished):
                 figures["expected_error_px"] = last.expected_error_px
@@ -329,12 +350,13 @@ def _watch(
     photos: Sequence[Photo],
     start: Sequence[Camera],
     config: RegistrationConfig,
+    freedom: Freedom,
 ) -> tuple[Progress | Finished, bool]:
     """Runs a refinement under a progress bar; its last event, and whether Ctrl-C came."""
     with _bar() as bar, _asked_to_stop() as stop:
         task = bar.add_task("getting ready", total=1.0, cost="")
         event = None
-        for event in refine(mesh, photos, start, config):
+        for event in refine(mesh, photos, start, config, freedom):
             if isinstance(event, Progress) and math.isfinite(event.best_cost):
                 bar.update(
                     task,

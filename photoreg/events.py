@@ -3,9 +3,34 @@
 import dataclasses
 from typing import Literal
 
+import numpy as np
+from jaxtyping import Float
+
 from photoreg.camera import Camera
+from photoreg.checkpoint import Checkpoint
+from photoreg.genes import GeneMap
 
 Phase = Literal["prepare", "search", "polish"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Population:
+    """The living individuals of a search."""
+
+    genes: Float[np.ndarray, "p g"]
+    """One row an individual, each gene in [-1, 1]."""
+    costs: Float[np.ndarray, "p"]
+    """Their costs; +inf where an individual sees too little."""
+    gene_map: GeneMap
+    """What the genes mean, for the photos that take part, in order."""
+
+    def centers(self, n: int = 100) -> Float[np.ndarray, "n c 3"]:
+        """Camera centres in world axes of the best ``n`` individuals, best first.
+
+        One for each photo that takes part: a cloud that shrinks as the search goes on.
+        """
+        best = np.argsort(self.costs, kind="stable")[:n]
+        return self.gene_map.poses(self.genes[best]).centers
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -30,6 +55,20 @@ class Progress:
     """Seconds since the start."""
     cameras: tuple[Camera, ...]
     """The best so far, one a photo: always a complete answer."""
+    quartile_costs: tuple[float, float] | None = None
+    """First and third quartile of the living population's costs; None where there is
+    none."""
+    begins: str | None = None
+    """What begins with this event, in plain words, for a mark in a curve: a restart of
+    the search, a level of the polish. None: it goes on as it was."""
+    expected_error_px: float | None = None
+    """Expected projection error of the answer in pixels, once a polish has told it."""
+    population: Population | None = None
+    """The living individuals; None outside the search. Held, not copied: leave it out
+    of what is sent to another process (``dataclasses.replace``) where nobody asks."""
+    checkpoint: Checkpoint | None = None
+    """What ``refine`` needs to go on from here; None before the search has begun. Made
+    of the same arrays as ``population``."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

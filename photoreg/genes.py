@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from photoreg.camera import Camera
 from photoreg.errors import InputError
+from photoreg.freedom import Freedom
 
 CameraModel = Literal["pinhole", "full"]
 Coordinates = Literal["camera", "object"]
@@ -110,6 +111,11 @@ class GeneMap:
       centroid (3, camera axes), log size in the photo, place in the photo x y.
       Turning about the own centre and moving sideways look the same in a photo, so
       do focal length and distance; these genes are what a photo tells apart.
+
+    What a ``Freedom`` holds has no gene, and a shared focal length has one, after the
+    genes of the camera that leads its group. In ``object`` coordinates focal length
+    and distance are then apart: where the focal length is held or shared, the size in
+    the photo is the distance's; where the pose is held, the focal length's.
     """
 
     def __init__(
@@ -119,8 +125,12 @@ class GeneMap:
         box: GeneBox | None = None,
         model: CameraModel = "pinhole",
         coordinates: Coordinates = "camera",
+        freedom: Freedom | None = None,
     ) -> None:
         """``pivot`` is the object's centroid in world axes.
+
+        Photos that share a focal length should have it already; see
+        ``Freedom.begin``.
 
         Raises:
             InputError: if there is no camera or the centroid is not in front of one.
@@ -132,6 +142,7 @@ class GeneMap:
         self.box = GeneBox() if box is None else box
         self.model: CameraModel = model
         self.coordinates: Coordinates = coordinates
+        self.freedom = Freedom() if freedom is None else freedom
         self._K = np.array([camera.K for camera in cameras])
         self._R = np.array([camera.R_cam_world for camera in cameras])
         self._t = np.array([camera.t_cam_world for camera in cameras])
@@ -145,16 +156,18 @@ class GeneMap:
             )
         self.distances = np.linalg.norm(self._pivot_cam, axis=1)
         self._widths = self._half_widths()
+        self._spread, self._names = self._what_genes_move()
+        self._gathered = np.linalg.pinv(self._spread)
 
     @property
     def n_per_camera(self) -> int:
-        """Genes of one camera: 9, or 11 in the full model."""
+        """Parameters of one camera: 9, or 11 in the full model."""
         return 9 if self.model == "pinhole" else 11
 
     @property
     def n_genes(self) -> int:
-        """Genes of all cameras."""
-        return self.n_per_camera * len(self.start)
+        """Genes of all cameras: one a parameter that is free."""
+        return self._spread.shape[1]
 
     def _half_widths(self) -> np.ndarray:
         """(c, g) interval half-widths in the units of each parameter."""
@@ -175,12 +188,27 @@ class GeneMap:
 
     def poses(self, genes: Float[np.ndarray, "p g"]) -> Poses:
         """The cameras of a whole population at once."""
-        values = (
-            np.asarray(genes, dtype=np.float64).reshape(
-                -1, len(self.start), self.n_per_camera
-            )
-            * self._widths
-        )
+        return self._exact(self._poses(self._values(genes)))
+
+    def _values(self, genes: np.ndarray) -> np.ndarray:
+        """(p, c, parameters) in the units of each parameter, zero at the start."""
+        spread = np.asarray(genes, dtype=np.float64) @ self._spread.T
+        return spread.reshape(-1, *self._widths.shape) * self._widths
+
+    def _exact(self, poses: Poses) -> Poses:
+        """What is held to the last bit, and one focal length where it is shared."""
+        K, R, t = poses.K, poses.R_cam_world, poses.t_cam_world
+        for c in range(len(self.start)):
+            held = self.freedom.of(c)
+            if held.focal:
+                K[:, c, :2, :2] = self._K[c, :2, :2]
+            elif not self.freedom.leads(c):
+                K[:, c, :2, :2] = K[:, self.freedom.group(c)[0], :2, :2]
+            if held.pose:
+                R[:, c], t[:, c] = self._R[c], self._t[c]
+        return poses
+
+    def _poses(self, values: np.ndarray) -> Poses:
         n_lens = self.n_per_camera - 8
         lens, principal = values[..., :n_lens], values[..., n_lens : n_lens + 2]
         turn, place = values[..., n_lens + 2 : n_lens + 5], values[..., n_lens + 5 :]
@@ -228,8 +256,8 @@ class GeneMap:
     def to_genes(self, cameras: Sequence[Camera]) -> Float[np.ndarray, "g"]:
         """The genes of cameras; outside [-1, 1] where they are outside the box.
 
-        In the pinhole model what it cannot express (another aspect ratio or skew
-        than the start's) is left out.
+        What the genes cannot express (another aspect ratio or skew than the start's in
+        the pinhole model, what is held) is left out.
         """
         K = np.array([camera.K for camera in cameras])
         R = np.array([camera.R_cam_world for camera in cameras])
@@ -256,7 +284,7 @@ class GeneMap:
             if self.model == "full":
                 lens += [np.log(ratio[:, 1:] / ratio[:, :1]), skew]
         values = np.concatenate([*lens, principal, turn, place], axis=1)
-        return (values / self._widths).ravel()
+        return self._gathered @ (values / self._widths).ravel()
 
     @property
     def _pivot_pixel(self) -> np.ndarray:
@@ -276,6 +304,62 @@ class GeneMap:
 
     def names(self) -> list[str]:
         """What each gene is, in plain words, with the camera's number."""
+        return list(self._names)
+
+    def _what_genes_move(self) -> tuple[np.ndarray, list[str]]:
+        """Parameters of all cameras by genes (c parameters, g), and the genes' names.
+
+        Both in half-intervals: without anything held it is the identity.
+        """
+        per, widths = self.n_per_camera, self._widths
+        n_lens = per - 8
+        size = per - 3  # Where ``object`` coordinates have the size in the photo.
+        columns: list[dict[int, float]] = []
+        names: list[str] = []
+        words = self._parameter_names()
+        of_group: dict[tuple[int, ...], list[int]] = {}
+        for c in range(len(self.start)):
+            held, group = self.freedom.of(c), self.freedom.group(c)
+            is_object = self.coordinates == "object"
+            alone = len(group) == 1
+            split = is_object and (held.focal or not alone)
+            for k in range(per):
+                name = f"camera {c + 1}: {words[k]}"
+                moves = {c * per + k: 1.0}
+                if k < n_lens:
+                    if held.focal:
+                        continue
+                    if k == 0 and is_object and (held.pose or not alone):
+                        # All of the focal length that the whole box reaches.
+                        reach = float(widths[c, 0] + widths[c, size])
+                        at = size if held.pose else 0
+                        moves = {c * per + at: reach / widths[c, at]}
+                    if not alone:
+                        name = f"focal length of cameras {_listed(group)}"
+                        if words[k] != "focal length":
+                            name = f"{words[k]} of cameras {_listed(group)}"
+                        of_group.setdefault(group, [])
+                        if not self.freedom.leads(c):
+                            columns[of_group[group][k]].update(moves)
+                            continue
+                        of_group[group].append(len(columns))
+                elif k < n_lens + 2:
+                    if held.principal_point:
+                        continue
+                elif held.pose:
+                    continue
+                elif k == size and split:
+                    moves[c * per] = -float(widths[c, size] / widths[c, 0])
+                    name = f"camera {c + 1}: distance"
+                columns.append(moves)
+                names.append(name)
+        spread = np.zeros((len(self.start) * per, len(columns)))
+        for column, moves in enumerate(columns):
+            for row, share in moves.items():
+                spread[row, column] = share
+        return spread, names
+
+    def _parameter_names(self) -> list[str]:
         if self.coordinates == "camera":
             place = ["centre x", "centre y", "centre z"]
             lens = ["focal length"] if self.model == "pinhole" else ["fx", "fy", "skew"]
@@ -290,11 +374,7 @@ class GeneMap:
                 lens += ["aspect ratio", "skew"]
         middle = ["principal point x", "principal point y"]
         turn = ["rotation x", "rotation y", "rotation z"]
-        return [
-            f"camera {c + 1}: {name}"
-            for c in range(len(self.start))
-            for name in [*lens, *middle, *turn, *place]
-        ]
+        return [*lens, *middle, *turn, *place]
 
     def first_population(
         self, n: int, rng: np.random.Generator, tie_focal_to_distance: bool = True
@@ -309,7 +389,7 @@ class GeneMap:
         genes = rng.uniform(-1.0, 1.0, (n, self.n_genes))
         if not tie_focal_to_distance or self.coordinates == "object":
             return genes
-        values = genes.reshape(n, len(self.start), -1) * self._widths
+        values = self._values(genes)
         n_focal = 2 if self.model == "full" else 1
         k = 1.0 + values[..., :n_focal].mean(axis=-1)
         center = -np.einsum("cji,cj->ci", self._R, self._t)
@@ -317,8 +397,10 @@ class GeneMap:
         place = values[..., -3:]
         along = np.einsum("pcd,cd->pc", place, away)
         wanted = (k - 1.0) * self.distances
-        values[..., -3:] += (wanted - along)[..., None] * away
-        return np.clip((values / self._widths).reshape(n, -1), -1.0, 1.0)
+        may_move = [not self.freedom.of(c).pose for c in range(len(self.start))]
+        values[..., -3:] += np.where(may_move, wanted - along, 0.0)[..., None] * away
+        tied = (values / self._widths).reshape(n, -1) @ self._gathered.T
+        return np.clip(tied, -1.0, 1.0)
 
 
 def rotations(vectors: Float[np.ndarray, "*batch 3"]) -> np.ndarray:
@@ -353,6 +435,11 @@ def rotation_vectors(R: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
     sine = np.linalg.norm(axis, axis=-1)
     angle = np.arctan2(sine, 0.5 * (np.trace(R, axis1=1, axis2=2) - 1.0))
     return axis * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 1.0)[:, None]
+
+
+def _listed(photos: Sequence[int]) -> str:
+    numbers = [str(photo + 1) for photo in photos]
+    return f"{', '.join(numbers[:-1])} and {numbers[-1]}"
 
 
 def _pixels(K: np.ndarray, points_cam: np.ndarray) -> np.ndarray:

@@ -6,8 +6,8 @@ steady-state algorithm, linear scaling of the fitness for the roulette wheel.
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator
-from typing import Literal
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -99,22 +99,42 @@ class GeneticConfig:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Generation:
-    """The state after one generation; generation 0 is the first population."""
+    """The state after one generation, whole: the search can go on from it.
+
+    Generation 0 is the first population.
+    """
 
     restart: int
     """Which restart, from 0."""
     generation: int
     """Which generation of this restart, from 0."""
+    genes: Float[np.ndarray, "p g"]
+    """The living population."""
+    costs: Float[np.ndarray, "p"]
+    """Its costs; +inf where a cost could not be told."""
     best_genes: Float[np.ndarray, "g"]
     """The best individual of the whole search so far."""
     best_cost: float
     """Its cost."""
-    median_cost: float
-    """Median cost of the living population."""
     evaluations: int
     """Cost evaluations so far."""
+    unchanged: int
+    """Generations of this restart since the best got better."""
     stop: StopReason | None
     """Why this restart ended, in its last generation."""
+    random_state: Mapping[str, Any]
+    """Of numpy's PCG64, after this generation."""
+
+    @property
+    def median_cost(self) -> float:
+        """Median cost of the living population."""
+        return float(np.median(self.costs))
+
+    @property
+    def quartiles(self) -> tuple[float, float]:
+        """First and third quartile of the population's costs."""
+        ordered, quarter = np.sort(self.costs), len(self.costs) // 4
+        return float(ordered[quarter]), float(ordered[-1 - quarter])
 
 
 def evolve(
@@ -123,6 +143,7 @@ def evolve(
     config: GeneticConfig,
     seed: int,
     start: Float[np.ndarray, "g"] | None = None,
+    resume: Generation | None = None,
 ) -> Iterator[Generation]:
     """Minimises ``costs`` over [-1, 1]^g; yields after each generation.
 
@@ -134,21 +155,37 @@ def evolve(
         seed: Same seed, same search.
         start: An individual that joins the first population, so that the best is
             never worse than it.
+        resume: Go on after this generation of the same search instead, to the same
+            end, bit for bit.
     """
-    best_genes, best_cost, evaluations = start, np.inf, 0
+    last, best_genes, best_cost, evaluations = resume, start, np.inf, 0
+    if last is not None:
+        best_genes, best_cost = last.best_genes, last.best_cost
+        evaluations = last.evaluations
     for restart, stream in enumerate(
         np.random.SeedSequence(seed).spawn(config.restarts)
     ):
+        if last is not None and (
+            restart < last.restart
+            or (restart == last.restart and last.stop is not None)
+            or last.stop == "cost level"
+        ):
+            continue
         rng = np.random.default_rng(stream)
-        genes = first_population(config.population, rng)
-        if best_genes is not None:
-            genes[0] = best_genes
-        cost = _finite(costs(genes))
-        evaluations += len(genes)
-        if best_genes is not None:
-            best_cost = float(cost[0])
-        unchanged = 0
-        for generation in range(config.generations + 1):
+        if last is not None and restart == last.restart:
+            genes, cost, unchanged = last.genes, last.costs, last.unchanged
+            rng.bit_generator.state = dict(last.random_state)
+            first = last.generation + 1
+        else:
+            genes = first_population(config.population, rng)
+            if best_genes is not None:
+                genes[0] = best_genes
+            cost = _finite(costs(genes))
+            evaluations += len(genes)
+            if best_genes is not None:
+                best_cost = float(cost[0])
+            unchanged = first = 0
+        for generation in range(first, config.generations + 1):
             before = best_cost
             if generation > 0:
                 progress = (generation - 1) / max(1, config.generations - 1)
@@ -164,11 +201,14 @@ def evolve(
             yield Generation(
                 restart,
                 generation,
+                genes,
+                cost,
                 best_genes,
                 best_cost,
-                float(np.median(cost)),
                 evaluations,
+                unchanged,
                 stop,
+                rng.bit_generator.state,
             )
             if stop is not None:
                 break

@@ -8,11 +8,13 @@ have no units and the prior's normal matrix is the identity.
 """
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from photoreg.camera import Camera
+from photoreg.freedom import NOTHING_HELD, Freedom, Held
 
 N_INCREMENTS = 9
 NAMES = (
@@ -64,6 +66,9 @@ class Increments:
     pivot: Float[np.ndarray, "3"]
     """World point that the rotation leaves where it is."""
     scales: PriorScales
+    held: Held = NOTHING_HELD
+    """What stays as the base has it, to the last bit: its numbers move nothing, and so
+    are always 0."""
 
     @property
     def distance(self) -> float:
@@ -72,9 +77,12 @@ class Increments:
 
     @property
     def units(self) -> Float[np.ndarray, "9"]:
-        """Size of one unit of each number: rad, rad, rad, 3 x model units, log, px, px."""
+        """Size of one unit of each number: rad, rad, rad, 3 x model units, log, px, px.
+
+        0 where nothing may move.
+        """
         s = self.scales
-        return np.array(
+        units = np.array(
             [s.rotation_rad] * 3
             + [s.translation_share * self.distance] * 3
             + [s.focal_share]
@@ -82,6 +90,15 @@ class Increments:
                 s.principal_share * self.base.width,
                 s.principal_share * self.base.height,
             ]
+        )
+        return np.where(self.is_free, units, 0.0)
+
+    @property
+    def is_free(self) -> Bool[np.ndarray, "9"]:
+        """Which numbers may move something."""
+        held = self.held
+        return ~np.array(
+            [held.pose] * 6 + [held.focal] + [held.principal_point] * 2, dtype=bool
         )
 
     def camera(self, x: Float[np.ndarray, "9"]) -> Camera:
@@ -93,6 +110,8 @@ class Increments:
         K = base.K.copy()
         K[:2, :2] *= np.exp(step[6])
         K[:2, 2] += step[7:9]
+        if self.held.pose:
+            return dataclasses.replace(base, K=K)
         return Camera(K, R, pivot_cam - R @ self.pivot, base.width, base.height)
 
     def of_camera(self, camera: Camera) -> Float[np.ndarray, "9"]:
@@ -110,10 +129,11 @@ class Increments:
             - base.t_cam_world
         )
         log_focal = np.log(camera.focal_px / base.focal_px)
-        return (
-            np.concatenate([turn, shift, [log_focal], camera.K[:2, 2] - base.K[:2, 2]])
-            / self.units
+        step = np.concatenate(
+            [turn, shift, [log_focal], camera.K[:2, 2] - base.K[:2, 2]]
         )
+        free = self.is_free
+        return np.where(free, step, 0.0) / np.where(free, self.units, 1.0)
 
     def geometry(
         self, x: Float[np.ndarray, "9"], width: int, height: int
@@ -139,6 +159,30 @@ class Increments:
         vector[29] = units[8] * height / self.base.height
         vector[30:33] = self.pivot
         return vector
+
+
+def free_directions(
+    increments: Sequence[Increments], freedom: Freedom
+) -> Float[np.ndarray, "p q"]:
+    """One column a number that moves by itself: 1 at each of its rows, else 0.
+
+    The rows are the nine numbers of each camera. What is held has no column; a shared
+    focal length has one, with a 1 for each camera that shares it.
+    """
+    free = np.concatenate([one.is_free for one in increments])
+    columns = []
+    for row in np.flatnonzero(free):
+        camera, which = divmod(int(row), N_INCREMENTS)
+        column = np.zeros(len(free))
+        if NAMES[which] != "focal length":
+            column[row] = 1.0
+        elif freedom.leads(camera):
+            group = np.array(freedom.group(camera))
+            column[group * N_INCREMENTS + which] = 1.0
+        else:
+            continue
+        columns.append(column)
+    return np.column_stack(columns)
 
 
 def rotation(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:

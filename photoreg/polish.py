@@ -24,6 +24,14 @@ class Quadratic:
     normal: Float[np.ndarray, "p p"]
     """Gauss-Newton second derivative: symmetric, not negative."""
 
+    def along(self, directions: Float[np.ndarray, "p q"]) -> "Quadratic":
+        """The same model for dx = directions . dy, in dy."""
+        return Quadratic(
+            self.cost,
+            directions.T @ self.gradient,
+            directions.T @ self.normal @ directions,
+        )
+
 
 class Term(Protocol):
     """One part of the cost."""
@@ -96,31 +104,37 @@ def total_cost(terms: Sequence[Term], x: Float[np.ndarray, "p"]) -> float:
 
 
 def minimise(
-    terms: Sequence[Term], x: Float[np.ndarray, "p"], damping: Damping
+    terms: Sequence[Term],
+    x: Float[np.ndarray, "p"],
+    damping: Damping,
+    directions: Float[np.ndarray, "p q"] | None = None,
 ) -> Iterator[Iterate]:
     """Damped Gauss-Newton from ``x``; yields the start and every accepted step.
 
     The cost of what is yielded never rises. The damping follows the ratio of actual
-    to predicted gain.
+    to predicted gain. With ``directions``, x moves along their columns only.
 
     References:
         H. B. Nielsen, "Damping Parameter in Marquardt's Method", 1999.
     """
     x = np.array(x, dtype=np.float64)
+    if directions is None:
+        directions = np.eye(len(x))
     model = total(terms, x)
     yield Iterate(0, x, model)
     share, growth = damping.initial, 2.0
     for iteration in range(1, damping.max_iterations + 1):
-        diagonal = np.diag(model.normal)
+        inner = model.along(directions)
+        diagonal = np.diag(inner.normal)
         # A parameter that nothing sees has a zero diagonal: keep the matrix regular.
         floor = max(float(diagonal.max()), 1e-300) * 1e-12
         step = -np.linalg.solve(
-            model.normal + np.diag(share * diagonal + floor), model.gradient
+            inner.normal + np.diag(share * diagonal + floor), inner.gradient
         )
-        predicted = -float(model.gradient @ step + 0.5 * step @ model.normal @ step)
+        predicted = -float(inner.gradient @ step + 0.5 * step @ inner.normal @ step)
         if not predicted > 0.0:
             return
-        gained = model.cost - total_cost(terms, x + step)
+        gained = model.cost - total_cost(terms, x + directions @ step)
         if not gained > 0.0:
             share, growth = share * growth, growth * 2.0
             if np.abs(step).max() < damping.step_tolerance:
@@ -129,7 +143,7 @@ def minimise(
         ratio = gained / predicted
         share *= max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3)
         share, growth = max(share, 1e-7), 2.0
-        x = x + step
+        x = x + directions @ step
         before = model.cost
         model = total(terms, x)
         yield Iterate(iteration, x, model)

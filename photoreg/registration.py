@@ -1,5 +1,6 @@
 """The whole refinement: prepare, search, polish, and the events that tell of it."""
 
+import dataclasses
 import time
 from collections.abc import Generator, Iterator, Sequence
 
@@ -8,9 +9,11 @@ import numpy as np
 from photoreg.agreement import disagreement
 from photoreg.alignment import PolishStep, polish_cameras
 from photoreg.camera import Camera
+from photoreg.checkpoint import Checkpoint, problem_digest
 from photoreg.consistency import PhotoConsistency, patches_of
 from photoreg.errors import InputError, RefinementError
-from photoreg.events import Event, Finished, Phase, Progress
+from photoreg.events import Event, Finished, Phase, Population, Progress
+from photoreg.freedom import Freedom
 from photoreg.genes import GeneMap
 from photoreg.genetic import Generation, evolve
 from photoreg.mesh import Mesh
@@ -21,8 +24,10 @@ from photoreg.uncertainty import Uncertainty, estimate_uncertainty
 from photoreg.visibility import visible
 
 __all__ = [
+    "Checkpoint",
     "Event",
     "Finished",
+    "Freedom",
     "PresetName",
     "Progress",
     "RegistrationConfig",
@@ -49,6 +54,8 @@ def refine(
     photos: Sequence[Photo],
     cameras: Sequence[Camera],
     config: RegistrationConfig | None = None,
+    freedom: Freedom | None = None,
+    resume: Checkpoint | None = None,
 ) -> Generator[Event, None, None]:
     """Refines rough cameras until the photos agree over the surface.
 
@@ -60,9 +67,13 @@ def refine(
         photos: Two or more.
         cameras: The pre-registration, one a photo, in the same order.
         config: Settings; None: the default preset.
+        freedom: What may move; None: everything. What is held stays to the last bit.
+        resume: Go on from this ``Progress.checkpoint`` of the same refinement, to the
+            answer that it would have had without the break, bit for bit.
 
     Raises:
-        InputError: if photos and cameras do not match.
+        InputError: if photos and cameras do not match, if ``freedom`` leaves nothing
+            to move, or if ``resume`` is of another refinement.
         RefinementError: if no camera sees the surface, or no two see a common part.
     """
     if len(photos) < 2:
@@ -78,7 +89,11 @@ def refine(
                 f"{photo.name} is {photo.width}x{photo.height} px, but its camera is for "
                 f"{camera.width}x{camera.height} px."
             )
-    run = _Run(mesh, photos, cameras, config or RegistrationConfig())
+    config, freedom = config or RegistrationConfig(), freedom or Freedom()
+    freedom.require(cameras, [photo.name for photo in photos])
+    run = _Run(mesh, photos, cameras, config, freedom)
+    if resume is not None:
+        run.go_on_from(resume)
     return run.events()
 
 
@@ -91,12 +106,21 @@ class _Run:
         photos: Sequence[Photo],
         cameras: Sequence[Camera],
         config: RegistrationConfig,
+        freedom: Freedom,
     ) -> None:
         self.mesh, self.config = mesh, config
         self.given_photos, self.given = tuple(photos), tuple(cameras)
+        self.given_freedom = freedom
+        self.begun = freedom.begin(self.given, mesh.centroid)
+        """The cameras given, with one focal length where photos share it."""
         self.active = tuple(range(len(photos)))
         """Which photos take part: those whose cameras see the surface."""
-        self.best = self.given
+        self.best = self.begun
+        self.problem = problem_digest(mesh, photos, cameras, config, freedom)
+        self.resume: Checkpoint | None = None
+        self.hidden_from: np.ndarray | None = None
+        """Genes from whose cameras hidden points were last looked for."""
+        self.checkpoint: Checkpoint | None = None
         self.began = time.perf_counter()
         self.seconds: dict[str, float] = {}
         self.generations = self.evaluations = 0
@@ -104,6 +128,14 @@ class _Run:
         self.reason = ""
         self.start_cost = self.cost = np.inf
         self.uncertainty: Uncertainty | None = None
+
+    def go_on_from(self, checkpoint: Checkpoint) -> None:
+        """Makes ``events`` go on from there."""
+        checkpoint.require(self.problem)
+        self.resume = checkpoint
+        self.began -= checkpoint.elapsed_s
+        self.generations = checkpoint.generations
+        self.evaluations = checkpoint.search.evaluations
 
     def events(self) -> Generator[Event, None, None]:
         yield self._progress("prepare", "getting ready", 0.0, np.inf, np.inf)
@@ -122,6 +154,7 @@ class _Run:
             config.box,
             config.camera_model,
             config.coordinates,
+            self.freedom,
         )
         self._hide(consistency, self.start)
         consistency.require(self.start)
@@ -129,6 +162,8 @@ class _Run:
         yield from self._search(consistency, gene_map)
         self._clock("search")
         if config.polish_after:
+            if self.checkpoint is not None:
+                self.checkpoint = dataclasses.replace(self.checkpoint, phase="polish")
             yield from self._polish()
             self._clock("polish")
         yield self._finished(consistency, gene_map)
@@ -141,7 +176,12 @@ class _Run:
     @property
     def start(self) -> tuple[Camera, ...]:
         """The pre-registration of the photos that take part."""
-        return tuple(self.given[i] for i in self.active)
+        return tuple(self.begun[i] for i in self.active)
+
+    @property
+    def freedom(self) -> Freedom:
+        """What may move of the photos that take part."""
+        return self.given_freedom.subset(self.active)
 
     def _leave_out_the_blind(self) -> None:
         """Finds who sees the surface, and warns of who does not.
@@ -150,7 +190,7 @@ class _Run:
             RefinementError: if nobody does.
         """
         seen = visible(
-            sample_surface(self.mesh, 2000, 0), self.given, self.mesh, "rays", 0.0
+            sample_surface(self.mesh, 2000, 0), self.begun, self.mesh, "rays", 0.0
         )
         self.active = tuple(np.flatnonzero(seen.any(axis=1)).tolist())
         self.best = self.start
@@ -195,7 +235,7 @@ class _Run:
         config, settings = self.config, self.config.genetic
         budget = settings.generations * settings.restarts
         share = SEARCH_SHARE if config.polish_after else 1.0
-        last: Generation | None = None
+        kept = last = self._gone_on(consistency, gene_map)
         for last in evolve(
             lambda genes: (
                 consistency.costs(genes, gene_map)
@@ -207,20 +247,36 @@ class _Run:
             settings,
             config.seed,
             start=np.zeros(gene_map.n_genes),
+            resume=kept,
         ):
             self.generations += last.generation > 0
             self.evaluations = last.evaluations
             self.best = tuple(gene_map.to_cameras(last.best_genes))
             done = last.restart * settings.generations + last.generation
-            yield self._progress(
+            self.checkpoint = Checkpoint(
+                self.problem,
                 "search",
-                f"generation {self.generations} of {budget}",
-                share * done / budget,
-                last.best_cost,
-                last.median_cost,
+                self.generations,
+                self._elapsed_s,
+                last,
+                self.hidden_from,
             )
-            if last.stop is not None and last.restart + 1 < settings.restarts:
-                self._hide(consistency, self.best)
+            begins = None
+            if last.generation == 0:
+                begins = f"restart {last.restart + 1} of {settings.restarts}"
+            yield dataclasses.replace(
+                self._progress(
+                    "search",
+                    f"generation {self.generations} of {budget}",
+                    share * done / budget,
+                    last.best_cost,
+                    last.median_cost,
+                ),
+                quartile_costs=last.quartiles,
+                begins=begins,
+                population=Population(last.genes, last.costs, gene_map),
+            )
+            self._renew_hidden(last, consistency, gene_map)
         assert last is not None
         if last.stop == "cost level":
             self.reason = (
@@ -230,6 +286,40 @@ class _Run:
             self.reason = "The search stopped improving."
         else:
             self.reason = "All generations of the search are done."
+
+    def _gone_on(
+        self, consistency: PhotoConsistency, gene_map: GeneMap
+    ) -> Generation | None:
+        """Brings back what the checkpoint to resume from had reached, if any.
+
+        Raises:
+            InputError: if the checkpoint is of another search.
+        """
+        if self.resume is None:
+            return None
+        last, settings = self.resume.search, self.config.genetic
+        wanted = (settings.population, gene_map.n_genes)
+        if last.genes.shape != wanted or last.restart >= settings.restarts:
+            raise InputError(
+                f"The kept search should have {wanted[0]} individuals of {wanted[1]} "
+                f"genes, but has {last.genes.shape[0]} of {last.genes.shape[1]}; start "
+                "the refinement anew."
+            )
+        self.checkpoint = self.resume
+        self.best = tuple(gene_map.to_cameras(last.best_genes))
+        self.hidden_from = self.resume.hidden_from
+        if self.hidden_from is not None:
+            self._hide(consistency, gene_map.to_cameras(self.hidden_from))
+        self._renew_hidden(last, consistency, gene_map)
+        return last
+
+    def _renew_hidden(
+        self, last: Generation, consistency: PhotoConsistency, gene_map: GeneMap
+    ) -> None:
+        """Looks anew for hidden points where one restart ends and another follows."""
+        if last.stop is not None and last.restart + 1 < self.config.genetic.restarts:
+            self.hidden_from = last.best_genes
+            self._hide(consistency, gene_map.to_cameras(last.best_genes))
 
     def _polish(self) -> Iterator[Progress]:
         """Polishes from where search or start agree better; from both when in doubt."""
@@ -263,6 +353,10 @@ class _Run:
         names = tuple(photo.name for photo in self.photos)
         self.uncertainty = estimate_uncertainty(self.mesh, answer, names)
         self.reason += " The polish is done."
+        yield dataclasses.replace(
+            self._progress("polish", "polish done", 1.0, answer.cost, answer.cost),
+            expected_error_px=self.uncertainty.expected_error_px,
+        )
 
     def _polish_from(
         self, cameras: tuple[Camera, ...], score: float, answer: PolishStep | None
@@ -281,22 +375,22 @@ class _Run:
             self.config.seed,
             self.config.box.rotation_deg / OBJECT_BOX.rotation_deg,
             score,
+            self.freedom,
         ):
             if answer is None:
                 self.best = step.cameras
             steps = steps + 1 if step.level == level else 0
             level = step.level
             within = 1.0 - 1.0 / (1.0 + 0.2 * steps)
-            yield (
-                step,
-                self._progress(
-                    "polish",
-                    f"polish, level {step.level + 1} of {step.n_levels}",
-                    first + (last - first) * (step.level + within) / step.n_levels,
-                    step.cost,
-                    step.cost,
-                ),
+            words = f"polish, level {step.level + 1} of {step.n_levels}"
+            progress = self._progress(
+                "polish",
+                words,
+                first + (last - first) * (step.level + within) / step.n_levels,
+                step.cost,
+                step.cost,
             )
+            yield step, dataclasses.replace(progress, begins=None if steps else words)
 
     def _finished(self, consistency: PhotoConsistency, gene_map: GeneMap) -> Finished:
         if not self.config.polish_after:
@@ -316,7 +410,7 @@ class _Run:
             self.cost,
             self.reason,
             tuple(self.warnings),
-            time.perf_counter() - self.began,
+            self._elapsed_s,
             self.generations,
             self.evaluations,
             self.seconds,
@@ -336,9 +430,12 @@ class _Run:
             words.append(camera.in_words(self.given_photos[i].name))
         return tuple(expected), tuple(words), self.uncertainty.undetermined
 
+    @property
+    def _elapsed_s(self) -> float:
+        return time.perf_counter() - self.began
+
     def _clock(self, phase: Phase) -> None:
-        elapsed = time.perf_counter() - self.began
-        self.seconds[phase] = elapsed - sum(self.seconds.values())
+        self.seconds[phase] = self._elapsed_s - sum(self.seconds.values())
 
     def _progress(
         self, phase: Phase, step: str, fraction: float, best: float, median: float
@@ -351,8 +448,9 @@ class _Run:
             self.evaluations,
             best,
             median,
-            time.perf_counter() - self.began,
+            self._elapsed_s,
             self._all(self.best),
+            checkpoint=self.checkpoint,
         )
 
 

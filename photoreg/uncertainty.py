@@ -78,7 +78,9 @@ def estimate_uncertainty(
         step: The last step of ``polish_cameras``.
         names: How the photos are called in the words; None: photo 1, photo 2, ...
     """
-    covariance = np.linalg.inv(step.normal)
+    along = step.directions
+    free = np.linalg.inv(along.T @ step.normal @ along)
+    covariance = along @ free @ along.T
     names = names or tuple(f"photo {i + 1}" for i in range(len(step.cameras)))
     cameras = []
     for i, (increments, camera) in enumerate(
@@ -99,7 +101,7 @@ def estimate_uncertainty(
     return Uncertainty(
         tuple(cameras),
         covariance,
-        undetermined_directions(covariance, step.increments, names),
+        undetermined_directions(free, step.increments, names, along),
     )
 
 
@@ -115,11 +117,17 @@ def plain_units(increments: Increments) -> Float[np.ndarray, "9"]:
 
 
 def undetermined_directions(
-    covariance: Float[np.ndarray, "p p"],
+    covariance: Float[np.ndarray, "q q"],
     increments: tuple[Increments, ...],
     names: tuple[str, ...],
+    directions: Float[np.ndarray, "p q"],
 ) -> tuple[str, ...]:
-    """Sentences on the directions that stay open, the weakest first."""
+    """Sentences on the directions that stay open, the weakest first.
+
+    ``covariance`` is that of what moved by itself, the columns of ``directions``. A
+    focal length that photos share goes by the first one's name.
+    """
+    rows = directions.argmax(axis=0)
     values, vectors = np.linalg.eigh(covariance)
     sentences = []
     for k in np.argsort(-values)[:MAX_DIRECTIONS]:
@@ -130,7 +138,7 @@ def undetermined_directions(
         main = main[np.abs(amounts[main]) >= 0.5 * np.abs(amounts[main[0]])][:4]
         parts = []
         for index in main:
-            photo, which = divmod(int(index), N_INCREMENTS)
+            photo, which = divmod(int(rows[index]), N_INCREMENTS)
             size = abs(amounts[index]) * plain_units(increments[photo])[which]
             parts.append(f"{NAMES[which]} of {names[photo]} (±{_amount(which, size)})")
         if len(parts) == 1:

@@ -134,7 +134,9 @@ def test_directions_left_open_are_named_in_plain_words(steps):
     trade = np.zeros(18)
     trade[9 + 5], trade[9 + 6] = 0.6, 0.8
     covariance += 0.9 * np.outer(trade, trade)
-    words = undetermined_directions(covariance, increments, ("a.jpg", "b.jpg"))
+    words = undetermined_directions(
+        covariance, increments, ("a.jpg", "b.jpg"), np.eye(18)
+    )
     assert words == (
         "Focal length of b.jpg (±1.5 %) and distance of b.jpg (±1.7 %) trade off.",
     )

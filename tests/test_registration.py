@@ -128,6 +128,42 @@ def test_the_best_cost_of_a_restart_never_rises():
     assert (np.diff(first) <= 0).all()
 
 
+def test_progress_tells_what_a_live_display_shows():
+    quick = PolishConfig(blurs_px=(2.0, 1.0), points=(500, 500), rounds=(2, 1))
+    config = dataclasses.replace(SEARCH, polish_after=True, polish=quick)
+    *events, last = run(config)
+    events = [event for event in events if isinstance(event, Progress)]
+    assert isinstance(last, Finished)
+    search = [e for e in events if e.phase == "search"]
+    for event in search:
+        assert event.quartile_costs is not None
+        assert event.population is not None
+        assert event.checkpoint is not None
+        low, high = event.quartile_costs
+        assert event.best_cost <= low <= event.median_cost <= high
+        population = event.population
+        assert len(population.genes) == len(population.costs) == 40
+        cloud = population.centers(10)
+        assert cloud.shape == (10, 2, 3)
+        assert event.checkpoint.search.evaluations == event.evaluations
+    # The best individual leads the cloud, and at last it is the best of all.
+    centers = [camera.center for camera in search[-1].cameras]
+    assert search[-1].population is not None
+    np.testing.assert_allclose(search[-1].population.centers(1)[0], centers, rtol=1e-9)
+    marks = [event.begins for event in events if event.begins is not None]
+    assert marks == [
+        "restart 1 of 2",
+        "restart 2 of 2",
+        "polish, level 1 of 2",
+        "polish, level 2 of 2",
+    ]
+    polish = [e for e in events if e.phase == "polish"]
+    assert all(e.population is None is e.quartile_costs for e in polish)
+    assert all(e.expected_error_px is None for e in events[:-1])
+    assert last.expected_error_px is not None
+    assert events[-1].expected_error_px == last.expected_error_px > 0.0
+
+
 def test_every_event_holds_a_whole_answer():
     scene = small_scene()
     for event in run():
