@@ -42,6 +42,7 @@ from app.messages import (
 from app.opening import demo_folder, open_folder, with_camera_file
 from app.run import Run, Status
 from app.session import Session
+from app.solver import Solver
 from app.state import Document, Job, State, Texture, same_camera
 from app.worker import Worker
 from photoreg.camera import Camera
@@ -75,11 +76,13 @@ class Conductor:
         # One lock for both: listeners run under the session's.
         self._lock = session.lock
         self.worker = Worker(self._on_event, warm_up)
+        self.solver = Solver(session)
         session.listen(self._follow)
         self._follow(State(), session.state)
 
     def close(self) -> None:
         """Ends the worker and removes uploaded files."""
+        self.solver.close()
         self.worker.close()
         self._uploads.cleanup()
 

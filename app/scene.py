@@ -12,6 +12,7 @@ import viser
 import viser.transforms as vtf
 
 from app.controls import put
+from app.markers import Markers
 from app.placement import DisplayFrame, frustum_corners
 from app.state import PhotoEntry, State
 from photoreg.camera import Camera
@@ -43,6 +44,7 @@ class Scene:
         self._clay: viser.MeshHandle | None = None
         self._clear: viser.MeshHandle | None = None
         scene = server.scene
+        self.markers = Markers(scene)
         for name in ("/solid", "/clear", "/cameras"):
             scene.add_frame(name, show_axes=False)
         self.gizmo = scene.add_transform_controls(
@@ -69,6 +71,7 @@ class Scene:
         self._show_texture(state)
         self._show_frusta(state)
         self._show_gizmo(state)
+        self.markers.show(state, self.frame)
 
     def _show_mesh(self, state: State) -> None:
         document = state.document

@@ -12,7 +12,7 @@ import io
 import logging
 import threading
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -22,12 +22,15 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
+from app.bus import Bus
 from app.conductor import Conductor
 from app.controls import BRAND, guarded, notify, put
 from app.panel_align import AlignPanel
 from app.panel_data import DataPanel
 from app.panel_export import ExportPanel
+from app.panel_points import PointsPanel
 from app.panel_refine import OverlayPanel, RefinePanel
+from app.pictures import ROOT, Pictures
 from app.scene import Scene
 from app.session import Session, with_entry
 from app.state import State
@@ -52,7 +55,8 @@ class Page:
     ) -> None:
         self.session = session
         self.conductor = conductor
-        self.server = start_viser(host, port)
+        self.pictures = Pictures()
+        self.server = start_viser(host, port, self.pictures)
         self._dark: bool | None = None
         self._viewports: dict[int, Viewport] = {}
         self._drag = 0
@@ -95,6 +99,7 @@ class Page:
         gui.main_panel.dock_right()
         gui.main_panel.set_width(324)
         self._status = gui.add_html("")
+        bus = Bus(gui)
         tabs = gui.add_tab_group()
         with tabs.add_tab("1 Data"):
             data = DataPanel(gui, self.conductor)
@@ -107,9 +112,24 @@ class Page:
         left = gui.add_panel()
         with left.add_tab("Overlay", viser.Icon.LAYERS_INTERSECT):
             overlay = OverlayPanel(gui, self.conductor)
+        with left.add_tab("Points", viser.Icon.TARGET_ARROW):
+            points = PointsPanel(gui, self.conductor, bus, self.pictures)
         left.dock_left()
         left.set_width(350)
-        self._panels = (data, align, refine, export, overlay)
+        self._panels = (data, align, refine, export, overlay, points)
+
+        @guarded
+        def clicked(event: viser.SceneClickEvent) -> None:
+            points.on_surface_click(
+                event.client,
+                self.scene.frame,
+                np.array(event.ray_origin),
+                np.array(event.ray_direction),
+            )
+
+        # viser's types know of no asynchronous listener; viser itself does.
+        self.server.scene.on_click()(cast(Any, clicked))
+
         self._command("Undo", "cmd/ctrl", self.session.undo)
         self._command("Redo", "cmd/ctrl+shift", self.session.redo)
 
@@ -218,8 +238,8 @@ def status_line(state: State) -> str:
     )
 
 
-def start_viser(host: str, port: int) -> viser.ViserServer:
-    """A viser server that answers only pages of its own origin.
+def start_viser(host: str, port: int, pictures: Pictures) -> viser.ViserServer:
+    """A viser server that answers only pages of its own origin, and has our pictures.
 
     viser checks neither Origin nor Host: any page in the same browser could drive a
     server on this machine. The websocket library's handshake hook is the one seam.
@@ -227,7 +247,9 @@ def start_viser(host: str, port: int) -> viser.ViserServer:
     serve = websocket_server.serve
 
     def serve_checked(*args: Any, process_request: Any = None, **kwargs: Any) -> Any:
-        hook = functools.partial(check_request, process_request, host)
+        hook = functools.partial(
+            check_request, with_pictures(process_request, pictures), host
+        )
         return serve(*args, process_request=hook, **kwargs)
 
     websocket_server.serve = serve_checked
@@ -237,6 +259,33 @@ def start_viser(host: str, port: int) -> viser.ViserServer:
             return viser.ViserServer(host=host, port=port, verbose=False)
     finally:
         websocket_server.serve = serve
+
+
+def with_pictures(following: Any, pictures: Pictures) -> Any:
+    """The handshake hook ``following``, and before it the paths of ``pictures``."""
+
+    async def picture(path: str) -> Response:
+        found = await pictures.answer(path)
+        if found is None:
+            return Response(http.HTTPStatus.NOT_FOUND, "NOT FOUND", Headers())
+        kind, body = found
+        caching = "no-cache" if path.endswith(".js") else "max-age=3600"
+        headers = Headers(
+            {
+                "Content-Type": kind,
+                "Content-Length": str(len(body)),
+                "Cache-Control": caching,
+                "Connection": "close",
+            }
+        )
+        return Response(http.HTTPStatus.OK, "OK", headers, body)
+
+    def process(connection: ServerConnection, request: Request) -> Any:
+        if request.path.startswith(ROOT):
+            return picture(request.path)
+        return following(connection, request) if following is not None else None
+
+    return process
 
 
 def check_request(

@@ -5,7 +5,7 @@ No viser and no engine here.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -170,6 +170,19 @@ class Job:
     fraction: float = 0.0
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Solution:
+    """What a photo's point pairs say about its camera."""
+
+    photo: Photo
+    pairs: tuple[PointPair, ...]
+    """The whole pairs that it was solved from."""
+    resection: Any
+    """A ``photoreg.resection.Resection``; None if there is no camera."""
+    problem: str
+    """Why there is none, if there are pairs enough."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Agreement:
     """How well the photos agree on the surface, for the cameras on screen."""
@@ -206,6 +219,10 @@ class State:
     """None until it is measured, or where there are no two photos to compare."""
     live_solve: bool = True
     """Whether a camera is solved anew whenever one of its point pairs changes."""
+    chosen_pair: int | None = None
+    """Number of the point that the next clicks put elsewhere."""
+    solution: Solution | None = None
+    """Of the selected photo's pairs; may be of some milliseconds ago."""
     keep_size: bool = True
     """Whether a change of focal length keeps the object's size in the photo."""
     preset: PresetName = "default"
@@ -260,6 +277,19 @@ class State:
         """The photo chosen for alignment."""
         photos = self.photos
         return photos[self.selected] if photos else None
+
+    @property
+    def current_solution(self) -> Solution | None:
+        """The solution, if it is that of the selected photo's pairs as they are."""
+        entry, solution = self.selected_photo, self.solution
+        if (
+            entry is None
+            or solution is None
+            or solution.photo is not entry.photo
+            or solution.pairs != entry.whole_pairs
+        ):
+            return None
+        return solution
 
     @property
     def overlay_onto(self) -> int:

@@ -1,0 +1,104 @@
+"""What people do in the page's own HTML, told to the server.
+
+viser has no clicks in pictures, no lists and no dropped files. The scripts in static/
+do these, and send what was done as JSON through a hidden text input.
+"""
+
+import html
+import json
+import logging
+from collections.abc import Callable
+from typing import Any
+
+import viser
+
+from app.controls import guarded
+from photoreg.errors import InputError
+
+log = logging.getLogger(__name__)
+
+Values = dict[str, Any]
+Handler = Callable[[Values, viser.ClientHandle], None]
+SCRIPTS = ("page", "picker")
+NO_PICTURE = "data:image/png;base64,AA"
+
+
+class Bus:
+    """Takes messages of the page's scripts to their handlers."""
+
+    def __init__(self, gui: viser.GuiApi) -> None:
+        self._handlers: dict[str, Handler] = {}
+        self._text = gui.add_text("page", "", visible=False)
+        self.upload = gui.add_upload_button("Files", visible=True)
+        self._boot = gui.add_html(self._boot_html())
+
+        @self._text.on_update
+        @guarded
+        def _(event: viser.GuiEvent) -> None:
+            assert event.client is not None
+            self._deliver(event.target.value, event.client)
+
+    def on(self, act: str, handler: Handler) -> None:
+        """Calls ``handler(values, client)`` for messages of this kind."""
+        self._handlers[act] = handler
+
+    def _deliver(self, text: str, client: viser.ClientHandle) -> None:
+        try:
+            values = json.loads(text)
+            handler = self._handlers[values["act"]]
+        except (ValueError, KeyError, TypeError) as error:
+            raise InputError(f"{NOT_UNDERSTOOD} (unknown message)") from error
+        try:
+            handler(values, client)
+        except (KeyError, TypeError, ValueError) as error:
+            log.exception("The page's message was not understood: %.200s", text)
+            raise InputError(f"{NOT_UNDERSTOOD} ({values['act']})") from error
+
+    def _boot_html(self) -> str:
+        text, upload = self._text._impl.uuid, self.upload._impl.uuid
+        # The input must exist to take files, and need not be seen.
+        hide = (
+            "const hide=()=>{const f=document.getElementById('file_upload_"
+            + upload
+            + "');const b=f?.parentElement;if(!b)setTimeout(hide,50);"
+            + "else if(b.querySelectorAll('button').length===1)b.style.display='none'};"
+            + "hide();"
+        )
+        script = (
+            f"(p=>{{p.bus='{text}';p.upload='{upload}'}})(window.photoreg??={{}});"
+            + "if(!window.photoreg.booted){window.photoreg.booted=1;"
+            + f"for(const n of {json.dumps(SCRIPTS)})"
+            + "{const s=document.createElement('script');s.src='/photoreg/'+n+'.js';"
+            + "s.async=false;document.head.append(s)}}"
+            + hide
+        )
+        return (
+            f'<img src="{NO_PICTURE}" style="display:none" onerror="'
+            f'{html.escape(script, quote=True)}">'
+        )
+
+
+NOT_UNDERSTOOD = "The page sent something this app does not know; reload the page"
+
+
+def mounted(kind: str, **data: str) -> str:
+    """HTML that calls the page script's ``photoreg.define(kind, ...)`` when shown."""
+    script = (
+        "(p=>p.mount?p.mount(this):(p.waiting??=[]).push(this))(window.photoreg??={})"
+    )
+    fields = "".join(
+        f' data-{name}="{html.escape(value, quote=True)}"'
+        for name, value in data.items()
+    )
+    return (
+        f'<img src="{NO_PICTURE}" style="display:none" data-kind="{kind}"{fields} '
+        f'onerror="{script}">'
+    )
+
+
+def sending(act: str, **values: Any) -> str:
+    """An onclick attribute's text that sends this message."""
+    return html.escape(
+        f"event.stopPropagation();photoreg.send({json.dumps(act)},{json.dumps(values)})",
+        quote=True,
+    )

@@ -1,0 +1,148 @@
+"""Cameras from point pairs, solved on a thread of its own as the points come in.
+
+No viser here. Solving takes 10 to 100 ms, too long for the thread that serves the page.
+"""
+
+import dataclasses
+import logging
+import threading
+from collections.abc import Hashable
+
+import numpy as np
+
+from app.session import Session, with_entry
+from app.state import PhotoEntry, Solution, State
+from photoreg.camera import Camera
+from photoreg.errors import InputError, PhotoregError
+from photoreg.mesh import Mesh
+from photoreg.photo import Photo
+from photoreg.resection import N_POSE, Resection, solve_camera
+
+log = logging.getLogger(__name__)
+
+SURFACE_POINTS = 400
+"""Vertices over which the error is foretold."""
+
+
+class Solver:
+    """Keeps ``State.solution`` that of the selected photo's pairs."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._wake = threading.Event()
+        self._closed = False
+        self._wanted: tuple[str, str, Hashable] | None = None
+        self._leave = session.listen(self._follow)
+        self._thread = threading.Thread(target=self._run, daemon=True, name="solver")
+        self._thread.start()
+        self._wake.set()
+
+    def close(self) -> None:
+        """Ends the thread."""
+        self._leave()
+        self._closed = True
+        self._wake.set()
+        self._thread.join(timeout=5.0)
+
+    def place(self, photo: str, step: str, gesture: Hashable) -> None:
+        """Moves the photo's camera to where its pairs say, as soon as that is known.
+
+        Args:
+            photo: Name of the photo.
+            step: Name of the undo step.
+            gesture: That of the click which asked for it; both are one undo step.
+        """
+        self._wanted = (photo, step, gesture)
+        self._wake.set()
+
+    def _follow(self, old: State, new: State) -> None:
+        before, now = old.selected_photo, new.selected_photo
+        if (now and (now.name, now.pairs)) != (before and (before.name, before.pairs)):
+            self._wake.set()
+
+    def _run(self) -> None:
+        while True:
+            self._wake.wait()
+            self._wake.clear()
+            if self._closed:
+                return
+            try:
+                self._solve()
+            except Exception:
+                log.exception("Solving failed")
+
+    def _solve(self) -> None:
+        state = self._session.state
+        entry = state.selected_photo
+        solution = state.solution
+        if entry is None:
+            return
+        if (
+            solution is None
+            or solution.pairs != entry.whole_pairs
+            or solution.photo is not entry.photo
+        ):
+            solution = solved(entry, state.document.mesh)
+        with self._session.lock:
+            self._session.change(
+                None, lambda state: dataclasses.replace(state, solution=solution)
+            )
+            self._place(solution)
+
+    def _place(self, solution: Solution) -> None:
+        wanted, self._wanted = self._wanted, None
+        if wanted is None or solution.resection is None:
+            return
+        name, step, gesture = wanted
+        camera = solution.resection.camera
+        state = self._session.state
+        for i, entry in enumerate(state.document.photos):
+            if entry.name == name and entry.whole_pairs == solution.pairs:
+                if state.run.status == "idle":
+                    self._session.change(step, with_entry(i, camera=camera), gesture)
+                return
+
+
+def solved(entry: PhotoEntry, mesh: Mesh | None) -> Solution:
+    """The camera of a photo's pairs, or why there is none."""
+    pairs = entry.whole_pairs
+    if len(pairs) < N_POSE:
+        return Solution(entry.photo, pairs, None, "")
+    try:
+        resection = resection_of(entry, mesh)
+    except PhotoregError as error:
+        return Solution(entry.photo, pairs, None, str(error))
+    return Solution(entry.photo, pairs, resection, "")
+
+
+def resection_of(entry: PhotoEntry, mesh: Mesh | None) -> Resection:
+    """Solves the camera of a photo's whole pairs.
+
+    Raises:
+        InputError: if the pairs are too few or do not determine a camera.
+    """
+    pairs = entry.whole_pairs
+    if len(pairs) < N_POSE:
+        raise InputError(
+            f"{len(pairs)} whole pairs so far; {N_POSE} are needed to place the camera."
+        )
+    surface = None
+    if mesh is not None:
+        surface = mesh.vertices[:: max(1, len(mesh.vertices) // SURFACE_POINTS)]
+    return solve_camera(
+        np.array([pair.world for pair in pairs]),
+        np.array([pair.pixel for pair in pairs]),
+        entry.photo.width,
+        entry.photo.height,
+        prior_camera(entry.photo),
+        surface=surface,
+    )
+
+
+def prior_camera(photo: Photo) -> Camera | None:
+    """What EXIF knows of the lens, as a camera somewhere; None if it knows nothing."""
+    if photo.exif_focal_px is None:
+        return None
+    return Camera.look_at(
+        (0, 0, 0), (0, 0, 1), (0, 1, 0), photo.exif_focal_px, photo.width, photo.height
+    )

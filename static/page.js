@@ -1,0 +1,153 @@
+// What viser's page lacks, for all panels of the app: a way to tell the server what was
+// done in HTML, and files dropped anywhere. No request leaves the app's own server.
+// Panels mount themselves: an <img data-kind=...> that fails to load calls mount(this).
+(() => {
+  const photoreg = (window.photoreg ??= {});
+  const kinds = (photoreg.kinds ??= {});
+  let count = 0;
+
+  // Tells the server; `act` says which handler of app/bus.py gets it.
+  photoreg.send = (act, values = {}) => {
+    const message = JSON.stringify({ act, ...values, count: ++count, at: Date.now() });
+    window.__viserMutable.sendMessage({
+      type: "GuiUpdateMessage",
+      uuid: photoreg.bus,
+      updates: { value: message },
+    });
+  };
+
+  photoreg.mount = (element) => {
+    const kind = kinds[element.dataset.kind];
+    if (kind) kind(element);
+    else (photoreg.waiting ??= []).push(element);
+  };
+
+  photoreg.define = (name, kind) => {
+    kinds[name] = kind;
+    const waiting = photoreg.waiting ?? [];
+    photoreg.waiting = waiting.filter((e) => e.dataset.kind !== name);
+    waiting.filter((e) => e.dataset.kind === name && e.isConnected).forEach(kind);
+  };
+
+  // Typing a new name in place of the old one; Enter takes it, Escape leaves it.
+  photoreg.rename = (label, photo) => {
+    const box = document.createElement("input");
+    box.value = photo;
+    box.setAttribute("aria-label", "New name");
+    box.style.cssText =
+      "font:inherit;width:100%;color:inherit;background:rgba(128,140,155,.2);" +
+      "border:1px solid #2dbeaf;border-radius:4px;padding:1px 4px;outline:none";
+    let done = false;
+    const end = (take) => {
+      if (done) return;
+      done = true;
+      const name = box.value.trim();
+      label.textContent = label.dataset.shown;
+      if (take && name !== photo) photoreg.send("rename", { photo, name });
+    };
+    label.dataset.shown ??= label.textContent;
+    box.addEventListener("keydown", (e) => {
+      e.stopPropagation();
+      if (e.key === "Enter") end(true);
+      if (e.key === "Escape") end(false);
+    });
+    box.addEventListener("click", (e) => e.stopPropagation());
+    box.addEventListener("blur", () => end(true));
+    label.replaceChildren(box);
+    box.focus();
+    box.select();
+  };
+
+  // Files: each goes through viser's hidden upload input, one after the other.
+  const upload = { busy: false, cancelled: false };
+
+  const input = () => document.getElementById(`file_upload_${photoreg.upload}`);
+
+  async function settled() {
+    // The button is disabled while a file is on its way.
+    for (let i = 0; i < 36000; i++) {
+      await new Promise((ok) => setTimeout(ok, 50));
+      const box = input();
+      if (box && !box.disabled && !upload.waiting) return;
+    }
+  }
+
+  photoreg.uploaded = () => (upload.waiting = false);
+
+  photoreg.files = async (files) => {
+    files = [...files];
+    if (!files.length || upload.busy) return;
+    upload.busy = true;
+    upload.cancelled = false;
+    photoreg.send("batch", { names: files.map((f) => f.name) });
+    try {
+      for (const file of files) {
+        if (upload.cancelled) break;
+        const box = input();
+        const transfer = new DataTransfer();
+        transfer.items.add(file);
+        box.files = transfer.files;
+        upload.waiting = true;
+        box.dispatchEvent(new Event("change", { bubbles: true }));
+        await settled();
+      }
+    } finally {
+      upload.busy = false;
+    }
+  };
+
+  photoreg.cancel = () => {
+    upload.cancelled = true;
+    upload.waiting = false;
+    photoreg.send("cancel");
+  };
+
+  photoreg.choose = () => {
+    const box = document.createElement("input");
+    box.type = "file";
+    box.multiple = true;
+    box.id = "photoreg-files";
+    box.style.display = "none";
+    document.getElementById(box.id)?.remove();
+    box.addEventListener("change", () => photoreg.files(box.files));
+    document.body.append(box);
+    box.click();
+  };
+
+  const target = document.createElement("div");
+  target.id = "photoreg-drop";
+  target.innerHTML =
+    '<div style="border:2.5px dashed #2dbeaf;border-radius:18px;padding:44px 64px;' +
+    'text-align:center;background:rgba(16,22,28,.82)">' +
+    '<div style="font-size:24px;font-weight:650;margin-bottom:8px">Drop to open</div>' +
+    '<div style="font-size:15px;opacity:.8">A mesh, photos, cameras, several at once' +
+    "</div></div>";
+  target.style.cssText =
+    "position:fixed;inset:0;z-index:9999;display:none;align-items:center;" +
+    "justify-content:center;background:rgba(10,14,18,.55);color:#fff;" +
+    "font-family:inherit;pointer-events:none;backdrop-filter:blur(2px)";
+  document.body.append(target);
+  const holdsFiles = (e) => [...(e.dataTransfer?.types ?? [])].includes("Files");
+  let depth = 0;
+  const show = (on) => (target.style.display = on ? "flex" : "none");
+  window.addEventListener("dragenter", (e) => {
+    if (!holdsFiles(e)) return;
+    e.preventDefault();
+    depth += 1;
+    show(true);
+  });
+  window.addEventListener("dragover", (e) => holdsFiles(e) && e.preventDefault());
+  window.addEventListener("dragleave", (e) => {
+    if (!holdsFiles(e)) return;
+    depth = Math.max(0, depth - 1);
+    if (!depth) show(false);
+  });
+  window.addEventListener("drop", (e) => {
+    if (!holdsFiles(e)) return;
+    e.preventDefault();
+    depth = 0;
+    show(false);
+    photoreg.files(e.dataTransfer.files);
+  });
+  photoreg.define("uploaded", () => photoreg.uploaded());
+})();
