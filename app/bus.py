@@ -19,7 +19,7 @@ log = logging.getLogger(__name__)
 
 Values = dict[str, Any]
 Handler = Callable[[Values, viser.ClientHandle], None]
-SCRIPTS = ("page", "picker")
+SCRIPTS = ("page", "picker", "view")
 NO_PICTURE = "data:image/png;base64,AA"
 
 
@@ -41,6 +41,10 @@ class Bus:
     def on(self, act: str, handler: Handler) -> None:
         """Calls ``handler(values, client)`` for messages of this kind."""
         self._handlers[act] = handler
+
+    def off(self, act: str) -> None:
+        """Forgets the handler of this kind of message."""
+        self._handlers.pop(act, None)
 
     def _deliver(self, text: str, client: viser.ClientHandle) -> None:
         try:

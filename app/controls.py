@@ -2,6 +2,7 @@
 
 import functools
 import logging
+import threading
 from collections.abc import Callable, Coroutine
 from typing import Any
 
@@ -13,6 +14,7 @@ log = logging.getLogger(__name__)
 
 BRAND = (38, 166, 154)
 MESSAGE_SECONDS = 9.0
+TYPING_REST_S = 1.0
 
 
 def put(handle: Any, field: str, value: Any) -> None:
@@ -67,6 +69,58 @@ def _call(callback: Callable[[Any], None], event: Any) -> None:
             "That did not work",
             "An error nobody foresaw; the terminal has the details.",
         )
+
+
+Typing = tuple[float | None, ...]
+"""Numbers that were typed, None for those that were not touched."""
+
+
+class Typed:
+    """A number, or a row of them, that is typed: taken at once where it is valid.
+
+    Every keystroke arrives, so a value may be refused only because it is half typed.
+    The refusal is told, and the value in force shown again, when typing has rested.
+    """
+
+    def __init__(self, handle: Any, take: Callable[[Typing], None]) -> None:
+        self.handle = handle
+        self._take = take
+        self._shown: tuple[float, ...] = ()
+        self._refused: threading.Timer | None = None
+        handle.on_update(guarded(self._on_update))
+
+    def show(self, value: tuple[float, ...]) -> None:
+        """Shows the value in force, unless something else is being typed."""
+        self._shown = value
+        if self._refused is None:
+            put_value(self.handle, value if len(value) > 1 else sum(value))
+
+    def _on_update(self, event: Any) -> None:
+        if self._refused is not None:
+            self._refused.cancel()
+            self._refused = None
+        typed = self.handle.value
+        typed = tuple(typed) if isinstance(typed, tuple | list) else (typed,)
+        shown = self._shown or (None,) * len(typed)
+        new = tuple(
+            None if value == old else float(value)
+            for value, old in zip(typed, shown, strict=True)
+        )
+        if all(value is None for value in new):
+            return
+        try:
+            self._take(new)
+        except PhotoregError as error:
+            self._refused = threading.Timer(
+                TYPING_REST_S, self._refuse, (event.client, str(error))
+            )
+            self._refused.daemon = True
+            self._refused.start()
+
+    def _refuse(self, client: viser.ClientHandle, sentence: str) -> None:
+        self._refused = None
+        self.show(self._shown)
+        notify(client, "That is not possible", sentence)
 
 
 def notify(client: viser.ClientHandle, title: str, text: str, bad: bool = True) -> None:

@@ -1,271 +1,297 @@
 """Tab 2, Align: bring each camera roughly into place by hand."""
 
 from collections.abc import Callable
-from typing import Literal
 
 import numpy as np
 import viser
 
+from app import numbers
+from app.bus import Bus
 from app.conductor import Conductor
-from app.controls import guarded, put, put_value
-from app.panel_data import index_of, photo_options
-from app.placement import first_camera, nudged, rolled, with_focal
+from app.controls import Typed, Typing, guarded, put, put_value
+from app.keys import Stepper
+from app.numbers import film_mm
+from app.placement import first_camera
 from app.session import select, setting, with_entry
 from app.state import State
-from app.viewport import Viewport
+from app.widgets import Choice, Option, Tool, Tools
 from photoreg.camera import Camera
 from photoreg.errors import InputError
 
 FILM_RANGE_MM = (12.0, 200.0)
 """Range of the slider: focal lengths on 35 mm film of the same field of view."""
 
-FILM_DIAGONAL_MM = 43.27
+REACH = 1e3
+"""How many diagonals of the mesh from it a camera may be typed."""
 
-ROLL_STEP_DEG = 0.25
-Key = Literal["J", "L", "I", "K", "N", "M", "U", "O"]
-NUDGE_SHARE = 1.0 / 640.0
-"""A nudge moves the object by so much of the photo's longer side."""
-
-NEARER_SHARE = 0.005
-
-NUDGES: tuple[tuple[Key, str, float, float, float, float], ...] = (
-    ("J", "left", -1.0, 0.0, 0.0, 0.0),
-    ("L", "right", 1.0, 0.0, 0.0, 0.0),
-    ("I", "up", 0.0, -1.0, 0.0, 0.0),
-    ("K", "down", 0.0, 1.0, 0.0, 0.0),
-    ("N", "nearer", 0.0, 0.0, 1.0, 0.0),
-    ("M", "farther", 0.0, 0.0, -1.0, 0.0),
-    ("U", "turned left", 0.0, 0.0, 0.0, -1.0),
-    ("O", "turned right", 0.0, 0.0, 0.0, 1.0),
+NUDGE_TOOLS = (
+    Tool("left", "Move the object left (J)", viser.Icon.ARROW_LEFT),
+    Tool("right", "Move the object right (L)", viser.Icon.ARROW_RIGHT),
+    Tool("up", "Move the object up (I)", viser.Icon.ARROW_UP),
+    Tool("down", "Move the object down (K)", viser.Icon.ARROW_DOWN),
+    Tool("nearer", "Bring the object nearer (N)", viser.Icon.ZOOM_IN),
+    Tool("farther", "Take the object farther (M)", viser.Icon.ZOOM_OUT),
+    Tool("roll left", "Roll left (U)", viser.Icon.ROTATE),
+    Tool("roll right", "Roll right (O)", viser.Icon.ROTATE_CLOCKWISE),
 )
-"""Key, where the object goes in the photo, and steps right, down, nearer and of roll.
-The letters that viser leaves free; W, A, S, D, Q, E and the arrows move the view."""
-
-ViewportOf = Callable[[int], Viewport | None]
-
-FREE, THROUGH = "Free view", "Look through"
 
 
 class AlignPanel:
-    """Controls of the Align tab."""
+    """Controls of the Align tab that all browsers share."""
 
-    def __init__(
-        self, gui: viser.GuiApi, conductor: Conductor, viewport_of: ViewportOf
-    ) -> None:
+    def __init__(self, gui: viser.GuiApi, conductor: Conductor, bus: Bus) -> None:
         self._session = session = conductor.session
-        gui.add_markdown(
-            "Bring each photo to within about 20 pixels; the refinement does the rest."
+        self._photo = Choice(
+            gui, bus, "Photo", {}, lambda _, value: self._select(int(value))
         )
-        self._choice = gui.add_dropdown("Photo", photo_options(session.state))
-        self._free = gui.add_button(FREE, icon=viser.Icon.ARROWS_MOVE, color="gray")
-        self._through = gui.add_button(THROUGH, icon=viser.Icon.EYE)
-        gui.add_markdown(
-            "*Free view*: drag the coloured arrows and arcs of the camera. "
-            "*Look through*: the photo lies behind the mesh; orbit, pan (right button) "
-            "and zoom (wheel) until they coincide, the camera follows."
+        self.view_order = gui.add_html("").order
+        """Where each browser's own controls of its view go."""
+        stepper = Stepper(session)
+        self._nudge = Tools(
+            gui,
+            bus,
+            "Nudge",
+            NUDGE_TOOLS,
+            lambda _, value: stepper.press(value),
+            repeat=True,
         )
-        self._opacity = gui.add_slider("Mesh opacity", 0.0, 1.0, 0.01, 0.55)
-        with gui.add_folder("Lens and roll"):
-            self._focal = gui.add_number("Focal length, px", 1000.0, step=1.0)
-            self._slider = gui.add_slider(
-                "35 mm film, mm", *FILM_RANGE_MM, step=0.1, initial_value=50.0
-            )
+        self._dolly = gui.add_slider(
+            "Dolly zoom",
+            *FILM_RANGE_MM,
+            step=0.1,
+            initial_value=50.0,
+            hint="Longer lens from farther off, in mm of 35 mm film: the object keeps "
+            "its size, its perspective changes.",
+        )
+        with gui.add_folder("Numbers", expand_by_default=False):
             self._keep = gui.add_checkbox(
-                "Keep the object's size", True, hint="The camera moves back or forth."
+                "Keep size",
+                True,
+                hint="A new focal length moves the camera back or forth, so that the "
+                "object keeps its size in the photo.",
             )
-            self._left = gui.add_button(
-                "Roll left", icon=viser.Icon.ROTATE, color="gray"
+            self._focal = gui.add_number("Focal length, px", 1000.0, step=1.0)
+            self._film = gui.add_number(
+                "35 mm film, mm",
+                50.0,
+                step=0.1,
+                hint="The same as a lens on 35 mm film.",
             )
-            self._right = gui.add_button(
-                "Roll right", icon=viser.Icon.ROTATE_CLOCKWISE, color="gray"
+            self._angle = gui.add_number(
+                "View angle, °", 40.0, step=0.1, hint="Over the photo's longer side."
             )
-        self._undo = gui.add_button(
-            "Undo", icon=viser.Icon.ARROW_BACK_UP, color="gray", disabled=True
+            self._principal = gui.add_vector2(
+                "Principal point",
+                (0.0, 0.0),
+                step=1.0,
+                hint="x and y in pixels, from the centre of the top-left pixel.",
+            )
+            self._position = gui.add_vector3(
+                "Position", (0.0, 0.0, 0.0), step=0.01, hint="In the model's units."
+            )
+            self._direction = gui.add_vector3(
+                "Turn, tilt, roll",
+                (0.0, 0.0, 0.0),
+                step=0.1,
+                hint="Degrees: about upwards, above the horizon, about the line of "
+                "sight.",
+            )
+            self._around = gui.add_vector3(
+                "Around object",
+                (0.0, 0.0, 1.0),
+                step=0.1,
+                hint="Azimuth and elevation in degrees, and distance, as seen from the "
+                "object; the camera turns along.",
+            )
+        with gui.add_folder("Start over", expand_by_default=False):
+            self._copy = gui.add_button(
+                "Copy photo 1, step aside", icon=viser.Icon.COPY, color="gray"
+            )
+            gui.add_markdown("*The place and lens of photo 1, 20° around the object.*")
+            self._reset = gui.add_button(
+                "Reset this camera", icon=viser.Icon.HOME, color="gray"
+            )
+            gui.add_markdown("*Level and in front of the object, all of it in frame.*")
+        self._typed = (
+            Typed(self._focal, lambda new: self._lens(lambda _: _only(new))),
+            Typed(
+                self._film,
+                lambda new: self._lens(lambda c: numbers.focal_of_film(c, _only(new))),
+            ),
+            Typed(
+                self._angle,
+                lambda new: self._lens(lambda c: numbers.focal_of_angle(c, _only(new))),
+            ),
+            Typed(self._principal, self._set_principal),
+            Typed(self._position, self._set_position),
+            Typed(self._direction, self._set_direction),
+            Typed(self._around, self._set_around),
         )
-        self._redo = gui.add_button(
-            "Redo", icon=viser.Icon.ARROW_FORWARD_UP, color="gray", disabled=True
-        )
-        self._reset = gui.add_button(
-            "Reset this camera", icon=viser.Icon.HOME, color="gray"
-        )
-        gui.add_markdown(
-            "Keys, hold to repeat: **J L I K** move the object in the photo, **N M** "
-            "bring it nearer or farther, **U O** turn it. Ctrl+Z undoes, Ctrl+Shift+Z "
-            "redoes."
-        )
-        self._roll_gesture = 0
-        self._focal_gesture = 0
 
-        @self._choice.on_update
+        @self._dolly.on_update
         @guarded
         def _(_: viser.GuiEvent) -> None:
-            session.change(None, select(index_of(session.state, self._choice.value)))
-
-        @self._free.on_click
-        @guarded
-        def _(event: viser.GuiEvent) -> None:
-            viewport = viewport_of(event.client_id or 0)
-            if viewport is not None:
-                viewport.free()
-
-        @self._through.on_click
-        @guarded
-        def _(event: viser.GuiEvent) -> None:
-            viewport = viewport_of(event.client_id or 0)
-            if viewport is not None:
-                viewport.look_through()
-
-        @self._opacity.on_update
-        @guarded
-        def _(_: viser.GuiEvent) -> None:
-            value = float(np.clip(self._opacity.value, 0.0, 1.0))
-            session.change(None, setting(mesh_opacity=value))
+            stepper.dolly_zoom_to(self._dolly.value)
 
         @self._keep.on_update
         @guarded
         def _(_: viser.GuiEvent) -> None:
             session.change(None, setting(keep_size=self._keep.value))
 
-        @self._focal.on_update
+        @self._copy.on_click
         @guarded
         def _(_: viser.GuiEvent) -> None:
-            self._set_focal(float(self._focal.value), 0.06)
-
-        @self._slider.on_update
-        @guarded
-        def _(_: viser.GuiEvent) -> None:
-            entry = session.state.selected_photo
-            if entry is not None:
-                px_per_mm = 1.0 / film_mm(entry.camera, 1.0)
-                self._set_focal(self._slider.value * px_per_mm, 0.06 * px_per_mm)
-
-        for key, where, *steps in NUDGES:
-            self._bind_nudge(gui, key, where, steps)
-
-        for button, sign in ((self._left, -1.0), (self._right, 1.0)):
-            self._bind_roll(button, sign * ROLL_STEP_DEG)
-
-        @self._undo.on_click
-        @guarded
-        def _(_: viser.GuiEvent) -> None:
-            session.undo()
-
-        @self._redo.on_click
-        @guarded
-        def _(_: viser.GuiEvent) -> None:
-            session.redo()
+            self._change("Copy to camera", self._stepped_aside)
 
         @self._reset.on_click
         @guarded
         def _(_: viser.GuiEvent) -> None:
-            state, index = session.state, session.state.selected
-            entry = state.selected_photo
-            if entry is None:
-                raise InputError("There is no photo yet. Add one in the Data tab.")
-            document = state.document
-            others = tuple(e.camera for e in document.photos[:index])
-            camera = first_camera(document.mesh, entry.photo, document.up, others)
-            session.change(
-                f"Reset camera {index + 1}", with_entry(index, camera=camera)
-            )
+            self._change("Reset camera", self._first)
 
-    def _bind_roll(self, button: viser.GuiButtonHandle, step_deg: float) -> None:
-        session = self._session
+        stepper.bind(gui)
 
-        @button.on_hold(callback_hz=12.0)
-        @guarded
-        def _(_: viser.GuiEvent) -> None:
-            entry, index = session.state.selected_photo, session.state.selected
-            if entry is None:
-                return
-            session.change(
-                f"Roll camera {index + 1}",
-                with_entry(index, camera=rolled(entry.camera, step_deg)),
-                ("roll", index, step_deg),
-            )
+    # What the user changes.
 
-    def _bind_nudge(
-        self, gui: viser.GuiApi, key: Key, where: str, steps: list[float]
+    def _select(self, index: int) -> None:
+        self._session.change(None, select(index))
+
+    def _change(
+        self, name: str, change: Callable[[Camera], Camera], gesture: str | None = None
     ) -> None:
         session = self._session
-        command = gui.add_command(f"Nudge the object {where}", hotkey=key)
-        right, down, nearer, roll = steps
-
-        @command.on_trigger
-        @guarded
-        def _(_: viser.CommandEvent) -> None:
-            state, index = session.state, session.state.selected
-            entry, mesh = state.selected_photo, state.document.mesh
-            if entry is None or mesh is None or state.run.status != "idle":
-                return
-            step_px = NUDGE_SHARE * max(entry.photo.width, entry.photo.height)
-            camera = nudged(
-                rolled(entry.camera, roll * ROLL_STEP_DEG),
-                mesh.bounds.mean(axis=0),
-                right * step_px,
-                down * step_px,
-                nearer * NEARER_SHARE,
-            )
-            session.change(
-                f"Nudge camera {index + 1}",
-                with_entry(index, camera=camera),
-                ("nudge", index),
-            )
-
-    def _set_focal(self, focal_px: float, tolerance_px: float) -> None:
-        session = self._session
         state, index = session.state, session.state.selected
-        entry, mesh = state.selected_photo, state.document.mesh
+        entry = state.selected_photo
         if entry is None:
             raise InputError("There is no photo yet. Add one in the Data tab.")
-        side = max(entry.photo.width, entry.photo.height)
-        low, high = 0.1 * side, 30.0 * side
-        if not low <= focal_px <= high:
-            put_value(self._focal, round(entry.camera.focal_px, 1))
-            raise InputError(
-                f"A focal length for this photo should be {low:.0f} to {high:.0f} px, "
-                f"but is {focal_px:g}."
-            )
-        if abs(focal_px - entry.camera.focal_px) < tolerance_px:
-            return  # The control shows a rounded value; that is no change.
-        anchor = mesh.centroid if state.keep_size and mesh is not None else None
         session.change(
-            f"Focal length {index + 1}",
-            with_entry(index, camera=with_focal(entry.camera, focal_px, anchor)),
-            ("focal", index),
+            f"{name} {index + 1}",
+            with_entry(index, camera=change(entry.camera)),
+            None if gesture is None else (gesture, index),
         )
+
+    def _lens(self, focal_px: Callable[[Camera], float]) -> None:
+        state = self._session.state
+        mesh = state.document.mesh
+        anchor = mesh.centroid if state.keep_size and mesh is not None else None
+        self._change(
+            "Focal length",
+            lambda c: numbers.with_checked_focal(c, focal_px(c), anchor),
+            "focal",
+        )
+
+    def _set_principal(self, new: Typing) -> None:
+        self._change(
+            "Principal point",
+            lambda c: numbers.with_principal_point(c, *_filled(new, c.K[:2, 2])),
+            "principal",
+        )
+
+    def _set_position(self, new: Typing) -> None:
+        mesh = self._session.state.document.mesh
+        reach = np.inf
+        if mesh is not None:
+            reach = REACH * mesh.diagonal + float(np.abs(mesh.bounds).max())
+        self._change(
+            "Position",
+            lambda c: numbers.with_center(c, _filled(new, c.center), reach),
+            "position",
+        )
+
+    def _set_direction(self, new: Typing) -> None:
+        up = np.array(self._session.state.document.up)
+        self._change(
+            "Direction",
+            lambda c: numbers.with_direction(
+                c, up, _filled(new, numbers.direction_deg(c, up))
+            ),
+            "direction",
+        )
+
+    def _set_around(self, new: Typing) -> None:
+        document = self._session.state.document
+        up, anchor = np.array(document.up), _anchor(self._session.state)
+        self._change(
+            "Orbit",
+            lambda c: numbers.with_around(
+                c, anchor, up, _filled(new, numbers.around(c, anchor, up))
+            ),
+            "around",
+        )
+
+    def _first(self, _: Camera) -> Camera:
+        state = self._session.state
+        document, entry = state.document, state.selected_photo
+        assert entry is not None
+        others = tuple(e.camera for e in document.photos[: state.selected])
+        return first_camera(document.mesh, entry.photo, document.up, others)
+
+    def _stepped_aside(self, camera: Camera) -> Camera:
+        state = self._session.state
+        if state.selected == 0:
+            raise InputError("This is photo 1 itself. Choose another photo first.")
+        up, anchor = np.array(state.document.up), _anchor(state)
+        return numbers.stepped_aside(
+            state.document.photos[0].camera, camera, anchor, up, state.selected
+        )
+
+    # What is on screen.
 
     def show(self, state: State) -> None:
         """Makes the controls as ``state`` has them."""
-        options = photo_options(state)
-        put(self._choice, "options", options)
-        put_value(self._opacity, state.mesh_opacity)
-        put_value(self._keep, state.keep_size)
         entry = state.selected_photo
+        self._photo.show(
+            str(state.selected),
+            visible=entry is not None,
+            options={
+                str(i): Option(f"{i + 1} · {e.photo.name.rpartition('.')[0]}")
+                for i, e in enumerate(state.document.photos)
+            },
+        )
         fixed = entry is None or state.run.status != "idle"
-        for control in (
-            self._focal,
-            self._slider,
-            self._left,
-            self._right,
-            self._reset,
-        ):
+        for control in (self._dolly, self._reset):
             put(control, "disabled", fixed)
-        put(self._through, "disabled", entry is None)
-        if entry is not None:
-            put_value(self._choice, options[state.selected])
-            put_value(self._focal, round(entry.camera.focal_px, 1))
-            film = film_mm(entry.camera, entry.camera.focal_px)
-            put_value(self._slider, round(float(np.clip(film, *FILM_RANGE_MM)), 1))
-        can_travel = state.run.status == "idle"
-        for button, word, name in (
-            (self._undo, "Undo", state.undo_name),
-            (self._redo, "Redo", state.redo_name),
-        ):
-            put(button, "label", word if name is None else f"{word}: {name}")
-            put(button, "disabled", name is None or not can_travel)
+        put(self._copy, "disabled", fixed or state.selected == 0)
+        self._nudge.show([tool._replace(enabled=not fixed) for tool in NUDGE_TOOLS])
+        put_value(self._keep, state.keep_size)
+        for typed in self._typed:
+            put(typed.handle, "disabled", fixed)
+        if entry is None:
+            return
+        camera, up = entry.camera, np.array(state.document.up)
+        put_value(
+            self._dolly, round(float(np.clip(film_mm(camera), *FILM_RANGE_MM)), 1)
+        )
+        place = 6 - int(np.floor(np.log10(max(np.abs(camera.center).max(), 1e-12))))
+        around = numbers.around(camera, _anchor(state), up)
+        values = (
+            (round(camera.focal_px, 1),),
+            (round(film_mm(camera), 2),),
+            (round(numbers.view_angle_deg(camera), 3),),
+            tuple(round(float(v), 2) for v in camera.K[:2, 2]),
+            tuple(round(float(v), max(0, place - 1)) for v in camera.center),
+            tuple(round(float(v), 3) for v in numbers.direction_deg(camera, up)),
+            (
+                round(float(around[0]), 3),
+                round(float(around[1]), 3),
+                round(float(around[2]), max(0, place - 1)),
+            ),
+        )
+        for typed, value in zip(self._typed, values, strict=True):
+            typed.show(value)
 
 
-def film_mm(camera: Camera, focal_px: float) -> float:
-    """Focal length on 35 mm film that has the same field of view."""
-    return focal_px * FILM_DIAGONAL_MM / float(np.hypot(camera.width, camera.height))
+def _anchor(state: State) -> np.ndarray:
+    mesh = state.document.mesh
+    return np.zeros(3) if mesh is None else mesh.bounds.mean(axis=0)
+
+
+def _only(new: Typing) -> float:
+    (value,) = new
+    assert value is not None, "Only what was typed arrives."
+    return value
+
+
+def _filled(new: Typing, old: np.ndarray) -> np.ndarray:
+    """The values typed, and exactly the old ones where nothing was."""
+    pairs = zip(new, old, strict=True)
+    return np.array([float(a) if b is None else b for b, a in pairs])

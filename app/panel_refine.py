@@ -6,11 +6,14 @@ import numpy as np
 import viser
 import viser.uplot
 
+from app.bus import Bus
 from app.conductor import Conductor
 from app.controls import guarded, number, put, put_value
 from app.run import Run
 from app.session import setting
-from app.state import OverlayStyle, State
+from app.state import State
+from app.styles import PHOTO_STYLES
+from app.widgets import Choice
 from photoreg.presets import PresetName
 
 PRESETS: dict[str, PresetName] = {
@@ -24,18 +27,6 @@ PRESET_HELP: dict[PresetName, str] = {
     "fast": "A short search and polish, for a first look.",
     "thorough": "A wider search, for very rough starts.",
     "paper": "The genetic algorithm of the paper alone, as published.",
-}
-STYLES: dict[str, OverlayStyle] = {
-    "Blend": "blend",
-    "Checks": "checkerboard",
-    "Difference": "difference",
-    "Edges": "edges",
-}
-STYLE_HELP: dict[OverlayStyle, str] = {
-    "blend": "Both mixed: double lines show a shift.",
-    "checkerboard": "Squares of both in turn: broken lines show a shift.",
-    "difference": "Grey where both agree; orange and blue where one is brighter.",
-    "edges": "Edges of the carried photo, in colour, over the other in grey.",
 }
 INK, GRID = "#98a2b3", "rgba(128,140,155,.18)"
 NO_DOTS: Any = {"show": False}
@@ -158,15 +149,20 @@ def _step(run: Run) -> str:
 class OverlayPanel:
     """The panel on the left: the overlay picture and the cost curve."""
 
-    def __init__(self, gui: viser.GuiApi, conductor: Conductor) -> None:
+    def __init__(self, gui: viser.GuiApi, conductor: Conductor, bus: Bus) -> None:
         self._conductor = conductor
         self._shown: bytes | None = None
         self._curve: object = ()
         session = conductor.session
         self._caption = gui.add_markdown("")
         self._image = gui.add_image(EMPTY_PICTURE, format="jpeg")
-        self._styles = gui.add_button_group("Show as", tuple(STYLES))
-        self._help = gui.add_markdown("")
+        self._styles = Choice(
+            gui,
+            bus,
+            "As",
+            PHOTO_STYLES,
+            lambda _, value: session.change(None, setting(overlay_style=value)),
+        )
         self._plot = gui.add_uplot(
             EMPTY_CURVE,
             SERIES,
@@ -182,11 +178,6 @@ class OverlayPanel:
             visible=False,
         )
 
-        @self._styles.on_click
-        @guarded
-        def _(_: viser.GuiEvent) -> None:
-            session.change(None, setting(overlay_style=STYLES[self._styles.value]))
-
     def show(self, state: State) -> None:
         """Makes the picture and the curve as ``state`` has them."""
         used = state.document.used
@@ -200,7 +191,7 @@ class OverlayPanel:
             if state.run.error_px is not None:
                 caption += f" · true error **{state.run.error_px:.2f} px**"
         put(self._caption, "content", caption)
-        put(self._help, "content", f"*{STYLE_HELP[state.overlay_style]}*")
+        self._styles.show(state.overlay_style)
         picture = self._conductor.picture
         if picture is not None and picture is not self._shown:
             self._shown = picture

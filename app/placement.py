@@ -145,6 +145,28 @@ def rolled(camera: Camera, angle_deg: float) -> Camera:
     )
 
 
+def orbited(camera: Camera, anchor: np.ndarray, turn: np.ndarray) -> Camera:
+    """The camera carried about ``anchor``, a world point, by the rotation ``turn``.
+
+    It keeps its distance, and the anchor its place in the photo.
+    """
+    R = camera.R_cam_world @ turn.T
+    centre = anchor + turn @ (camera.center - anchor)
+    return dataclasses.replace(camera, R_cam_world=R, t_cam_world=-R @ centre)
+
+
+def orbit_axes(toward: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """Axes of the orbit about the object, as columns: level, upwards, to the camera.
+
+    Args:
+        toward: From the object to the camera.
+        up: Upwards.
+    """
+    up = up / np.linalg.norm(up)
+    level = _horizontal(toward, up)
+    return np.column_stack([np.cross(up, level), up, level])
+
+
 def nudged(
     camera: Camera, anchor: np.ndarray, right_px: float, down_px: float, nearer: float
 ) -> Camera:

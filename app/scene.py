@@ -5,6 +5,7 @@ Nodes: /solid (clay or textured model), /clear (the translucent mesh of look-thr
 not want; see viewport.
 """
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -13,7 +14,7 @@ import viser.transforms as vtf
 
 from app.controls import put
 from app.markers import Markers
-from app.placement import DisplayFrame, frustum_corners
+from app.placement import DisplayFrame, frustum_corners, orbit_axes, orbited
 from app.state import PhotoEntry, State
 from photoreg.camera import Camera
 from photoreg.mesh import Mesh
@@ -23,7 +24,12 @@ SELECTED_COLOUR = (45, 190, 175)
 FRUSTUM_COLOUR = (140, 150, 170)
 GHOST_COLOUR = (120, 120, 130)
 IMAGE_SIDE_PX = 640
+LINE_COLOUR = (255, 64, 190)
 GIZMO_PX = 105.0
+ORBIT_PX = 190.0
+SORTED_DEG = 12.0
+"""The order of the faces holds for views this near to the one it was made for."""
+
 N_OUTWARD_RAYS = 400
 OUTWARD_SHARE = 0.96
 
@@ -34,7 +40,7 @@ class Scene:
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
         self.frame = DisplayFrame()
-        self.gizmo_is_held = False
+        self._holder: int | None = None
         self._mesh: Mesh | None = None
         self._up: tuple[float, float, float] | None = None
         self._frusta: list[Frustum] = []
@@ -47,6 +53,11 @@ class Scene:
         self.markers = Markers(scene)
         for name in ("/solid", "/clear", "/cameras"):
             scene.add_frame(name, show_axes=False)
+        self._sorted_for: np.ndarray | None = None
+        self._faces: np.ndarray | None = None
+        self._lines: viser.LineSegmentsHandle | None = None
+        self._segments: np.ndarray | None = None
+        # Two gizmos, of which one is shown: at the camera, and about the object.
         self.gizmo = scene.add_transform_controls(
             "/cameras/gizmo",
             scale=GIZMO_PX,
@@ -55,19 +66,80 @@ class Scene:
             line_width=3.0,
             visible=False,
         )
+        self.orbit = scene.add_transform_controls(
+            "/cameras/orbit",
+            scale=ORBIT_PX,
+            fixed=True,
+            depth_test=False,
+            line_width=4.0,
+            disable_axes=True,
+            disable_sliders=True,
+            visible=False,
+        )
+        self._orbit_rest = np.eye(3)
+        self._orbit_start: tuple[Camera, np.ndarray] | None = None
 
-    def on_gizmo(self, moved: Callable[[str, np.ndarray, np.ndarray], None]) -> None:
-        """Calls ``moved(phase, R_page_cam, position)`` as the gizmo is dragged."""
+    def on_gizmo(
+        self, moved: Callable[[str, int, Callable[[Camera], Camera]], None]
+    ) -> None:
+        """Calls ``moved(phase, browser, change)`` as a gizmo is dragged.
+
+        ``change`` makes the camera where the hand has it from the one in force.
+        """
 
         @self.gizmo.on_update
         async def _(event: viser.TransformControlsEvent) -> None:
-            self.gizmo_is_held = event.phase != "end"
+            self._hold(event)
             rotation = vtf.SO3(event.target.wxyz).as_matrix()
-            moved(event.phase, rotation, np.array(event.target.position))
+            position = np.array(event.target.position)
+            moved(
+                event.phase,
+                event.client_id or 0,
+                lambda camera: self.frame.with_pose(camera, rotation, position),
+            )
 
-    def show(self, state: State) -> None:
-        """Makes the nodes as ``state`` has them; sends only what changed."""
+        @self.orbit.on_update
+        async def _(event: viser.TransformControlsEvent) -> None:
+            self._hold(event)
+            wxyz = np.array(event.target.wxyz)
+            moved(
+                event.phase,
+                event.client_id or 0,
+                lambda camera: self._orbited(camera, wxyz),
+            )
+            if event.phase == "end":
+                self._orbit_start = None
+
+    def let_go(self, browser: int) -> None:
+        """Frees the gizmo that a browser held when it went away."""
+        if self._holder == browser:
+            self._holder = None
+            self._orbit_start = None
+
+    def _hold(self, event: viser.TransformControlsEvent) -> None:
+        self._holder = None if event.phase == "end" else event.client_id
+
+    def _orbited(self, camera: Camera, wxyz: np.ndarray) -> Camera:
+        """The camera orbited as far as the gizmo was turned since it was taken."""
+        if self._orbit_start is None:
+            self._orbit_start = (camera, self._orbit_rest)
+        start, rest = self._orbit_start
+        # From the start each time: steps would add up their rounding.
+        turn = vtf.SO3(wxyz).as_matrix() @ rest.T
+        carried = orbited(start, self.frame.to_world(np.zeros(3)), turn)
+        return dataclasses.replace(
+            camera,
+            R_cam_world=carried.R_cam_world,
+            t_cam_world=carried.t_cam_world,
+        )
+
+    def show(self, state: State, lines: np.ndarray | None = None) -> None:
+        """Makes the nodes as ``state`` has them; sends only what changed.
+
+        ``lines`` are the newest silhouette and creases, (s, 2, 3) in world axes.
+        """
         self._show_mesh(state)
+        self._show_lines(state, lines)
         self._show_texture(state)
         self._show_frusta(state)
         self._show_gizmo(state)
@@ -92,17 +164,62 @@ class Scene:
                 )
                 # Seen through, the far side would only confuse.
                 faces = outward_faces(self._mesh)
+                self._faces = self._mesh.faces if faces is None else faces
+                self._sorted_for = None
                 self._clear = self._server.scene.add_mesh_simple(
                     "/clear/clay",
                     vertices,
-                    self._mesh.faces if faces is None else faces,
+                    self._faces,
                     color=CLAY,
                     side="double" if faces is None else "front",
                     opacity=state.mesh_opacity,
                     cast_shadow=False,
                 )
         if self._clear is not None:
+            self._sort_faces(state)
+            style = state.through_style
             put(self._clear, "opacity", state.mesh_opacity)
+            put(self._clear, "visible", style in ("surface", "wireframe"))
+            put(self._clear, "wireframe", style == "wireframe")
+            colour = SELECTED_COLOUR if style == "wireframe" else CLAY
+            put(self._clear, "color", colour)
+
+    def _sort_faces(self, state: State) -> None:
+        """Lets the translucent mesh be drawn from near to far for the photo's camera.
+
+        Then what is nearer hides what is farther; in any other order two layers of the
+        surface shine through each other, face by face.
+        """
+        entry = state.selected_photo
+        if entry is None or self._faces is None or self._clear is None:
+            return
+        position = self.frame.pose(entry.camera)[1]
+        direction = position / max(float(np.linalg.norm(position)), 1e-9)
+        known = self._sorted_for
+        if known is not None and known @ direction > np.cos(np.radians(SORTED_DEG)):
+            return
+        self._sorted_for = direction
+        centres = self._clear.vertices[self._faces].mean(axis=1)
+        distance = ((centres - position) ** 2).sum(axis=1)
+        self._clear.faces = self._faces[np.argsort(distance)]
+
+    def _show_lines(self, state: State, lines: np.ndarray | None) -> None:
+        wanted = state.through_style == "lines" and lines is not None and len(lines) > 0
+        if wanted and lines is not self._segments and lines is not None:
+            self._segments = lines
+            points = self.frame.to_page(lines).astype(np.float32)
+            if self._lines is None:
+                self._lines = self._server.scene.add_line_segments(
+                    "/clear/lines",
+                    points,
+                    colors=LINE_COLOUR,
+                    thickness=1.5,
+                    thickness_units="screen",
+                )
+            else:
+                self._lines.points = points
+        if self._lines is not None:
+            put(self._lines, "visible", wanted)
 
     def _show_texture(self, state: State) -> None:
         if state.texture is not self._texture:
@@ -154,12 +271,15 @@ class Scene:
     def _show_gizmo(self, state: State) -> None:
         entry = state.selected_photo
         visible = entry is not None and state.run.status == "idle"
-        put(self.gizmo, "visible", visible)
-        if entry is None or self.gizmo_is_held:
+        put(self.gizmo, "visible", visible and state.gizmo == "move")
+        put(self.orbit, "visible", visible and state.gizmo == "orbit")
+        if entry is None or self._holder is not None:
             return  # The hand that drags it is ahead of the state.
         rotation, position = self.frame.pose(entry.camera)
         self.gizmo.wxyz = vtf.SO3.from_matrix(rotation).wxyz
         self.gizmo.position = position
+        self._orbit_rest = orbit_axes(position, np.array(state.document.up))
+        self.orbit.wxyz = vtf.SO3.from_matrix(self._orbit_rest).wxyz
 
 
 class Frustum:

@@ -11,6 +11,7 @@ import http
 import io
 import logging
 import threading
+import time
 from collections.abc import Callable
 from typing import Any, cast
 from urllib.parse import urlsplit
@@ -23,22 +24,33 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from app.bus import Bus
+from app.canvas import backdrop
 from app.conductor import Conductor
 from app.controls import BRAND, guarded, notify, put
+from app.hands import Hands
+from app.help import Help
+from app.meter import meter_html
 from app.panel_align import AlignPanel
 from app.panel_data import DataPanel
 from app.panel_export import ExportPanel
 from app.panel_points import PointsPanel
 from app.panel_refine import OverlayPanel, RefinePanel
+from app.panel_view import ViewPanel
 from app.pictures import ROOT, Pictures
 from app.scene import Scene
 from app.session import Session, with_entry
 from app.state import State
-from app.viewport import Viewport, backdrop
+from app.viewport import Viewport
+from app.widgets import Tool, Tools
+from photoreg.camera import Camera
 
 log = logging.getLogger(__name__)
 
 PAINT_PERIOD_S = 1 / 30
+BLINK_PERIOD_S = 0.6
+GIZMO_HOLD_S = 20.0
+"""A gizmo that says nothing for so long is no longer in anybody's hand."""
+
 LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
 
 
@@ -59,6 +71,10 @@ class Page:
         self.server = start_viser(host, port, self.pictures)
         self._dark: bool | None = None
         self._viewports: dict[int, Viewport] = {}
+        self._view_panels: dict[int, ViewPanel] = {}
+        self._hands = Hands()
+        self._help = Help()
+        self._blinked_at = 0.0
         self._drag = 0
         self._wake = threading.Event()
         self._closed = False
@@ -98,20 +114,22 @@ class Page:
         gui.set_panel_label("photoreg")
         gui.main_panel.dock_right()
         gui.main_panel.set_width(324)
+        self._bus = bus = Bus(gui)
         self._status = gui.add_html("")
-        bus = Bus(gui)
+        self._meter = gui.add_html("")
+        self._travel = Tools(gui, bus, "", (), self._on_travel)
         tabs = gui.add_tab_group()
         with tabs.add_tab("1 Data"):
             data = DataPanel(gui, self.conductor)
-        with tabs.add_tab("2 Align"):
-            align = AlignPanel(gui, self.conductor, self.viewport)
+        with tabs.add_tab("2 Align") as self._align_tab:
+            align = AlignPanel(gui, self.conductor, bus)
         with tabs.add_tab("3 Refine"):
             refine = RefinePanel(gui, self.conductor)
         with tabs.add_tab("4 Export"):
             export = ExportPanel(gui, self.conductor)
         left = gui.add_panel()
         with left.add_tab("Overlay", viser.Icon.LAYERS_INTERSECT):
-            overlay = OverlayPanel(gui, self.conductor)
+            overlay = OverlayPanel(gui, self.conductor, bus)
         with left.add_tab("Points", viser.Icon.TARGET_ARROW):
             points = PointsPanel(gui, self.conductor, bus, self.pictures)
         left.dock_left()
@@ -130,8 +148,37 @@ class Page:
         # viser's types know of no asynchronous listener; viser itself does.
         self.server.scene.on_click()(cast(Any, clicked))
 
+        self._view_order = align.view_order
         self._command("Undo", "cmd/ctrl", self.session.undo)
         self._command("Redo", "cmd/ctrl+shift", self.session.redo)
+        # viser's list of keys leaves out punctuation; the page takes any.
+        question: Any = "?"
+        # On some keyboards it needs Shift, on others none.
+        keys = gui.add_command("Keys and mouse", hotkey=question, modifier="shift")
+        plain = gui.add_command("Help", hotkey=question)
+        whole = gui.add_command("The whole photo (Inspect)", hotkey="0")
+
+        @keys.on_trigger
+        @plain.on_trigger
+        @guarded
+        def _(event: viser.CommandEvent) -> None:
+            if event.client is not None:
+                self._help.toggle(event.client)
+
+        @whole.on_trigger
+        @guarded
+        def _(event: viser.CommandEvent) -> None:
+            viewport = self._viewports.get(event.client_id or 0)
+            if viewport is not None:
+                viewport.fit()
+
+    def _on_travel(self, client: viser.ClientHandle, value: str) -> None:
+        if value == "help":
+            self._help.toggle(client)
+        elif value == "undo":
+            self.session.undo()
+        else:
+            self.session.redo()
 
     def _command(
         self, label: str, modifier: Any, action: Callable[[], str | None]
@@ -151,10 +198,14 @@ class Page:
 
     def _paint_on(self) -> None:
         while True:
-            self._wake.wait()
+            blinks = self.session.state.overlay_style == "blink"
+            self._wake.wait(BLINK_PERIOD_S if blinks else None)
             self._wake.clear()
             if self._closed:
                 return
+            if blinks and time.monotonic() - self._blinked_at > BLINK_PERIOD_S:
+                self._blinked_at = time.monotonic()
+                self.conductor.blink()
             try:
                 self._paint()
             except Exception:
@@ -168,12 +219,18 @@ class Page:
                 self._dark = state.dark
                 self._theme(state.dark)
                 self.server.scene.set_background_image(backdrop(state.dark))
-            self.scene.show(state)
+            drawn = self.conductor.drawn
+            self.scene.show(state, None if drawn is None else drawn.lines)
             put(self._status, "content", status_line(state))
+            put(self._meter, "content", meter_html(state))
+            self._travel.show(travel_tools(state))
             for panel in self._panels:
                 panel.show(state)
-        for viewport in list(self._viewports.values()):
+        for number, viewport in list(self._viewports.items()):
             viewport.show(state)
+            panel = self._view_panels.get(number)
+            if panel is not None:
+                panel.show(state)
 
     def _theme(self, dark: bool) -> None:
         self.server.gui.configure_theme(
@@ -186,32 +243,68 @@ class Page:
     # What browsers do.
 
     def _on_connect(self, client: viser.ClientHandle) -> None:
-        viewport = Viewport(client, self.session, self.scene)
+        viewport = Viewport(
+            client, self.conductor, self.scene, self._hands, self._wake.set
+        )
+        with self._align_tab:
+            panel = ViewPanel(viewport, self.conductor, self._bus, self._view_order)
         self._viewports[client.client_id] = viewport
+        self._view_panels[client.client_id] = panel
         viewport.show(self.session.state)
+        panel.show(self.session.state)
 
     def _on_disconnect(self, client: viser.ClientHandle) -> None:
         self._viewports.pop(client.client_id, None)
+        panel = self._view_panels.pop(client.client_id, None)
+        if panel is not None:
+            panel.forget()
+        self._hands.drop(client.client_id)
+        self._help.forget(client)
+        self.scene.let_go(client.client_id)
+        self._wake.set()
 
-    def _on_gizmo(self, phase: str, rotation: np.ndarray, position: np.ndarray) -> None:
+    def _on_gizmo(
+        self, phase: str, browser: int, change: Callable[[Camera], Camera]
+    ) -> None:
         if phase == "start":
             self._drag += 1
         state = self.session.state
         entry, index = state.selected_photo, state.selected
         if entry is None or state.run.status != "idle":
             return
-        camera = self.scene.frame.with_pose(entry.camera, rotation, position)
-        self.session.change(
-            f"Move camera {index + 1}",
-            with_entry(index, camera=camera),
-            ("gizmo", self._drag),
-        )
+        if self._hands.take(browser, index, GIZMO_HOLD_S):
+            word = "Move" if state.gizmo == "move" else "Orbit"
+            self.session.change(
+                f"{word} camera {index + 1}",
+                with_entry(index, camera=change(entry.camera)),
+                ("gizmo", self._drag),
+            )
         if phase == "end":
+            self._hands.drop(browser)
             self._wake.set()
 
     def _tell_everybody(self, sentence: str) -> None:
         for client in self.server.get_clients().values():
             notify(client, "That did not work", sentence)
+
+
+def travel_tools(state: State) -> list[Tool]:
+    """Undo and redo by name, and the help."""
+    idle = state.run.status == "idle"
+    tools = [
+        Tool(
+            value,
+            word if name is None else f"{word}: {name}",
+            icon,
+            f" {word if name is None else name}",
+            name is not None and idle,
+        )
+        for value, word, name, icon in (
+            ("undo", "Undo", state.undo_name, viser.Icon.ARROW_BACK_UP),
+            ("redo", "Redo", state.redo_name, viser.Icon.ARROW_FORWARD_UP),
+        )
+    ]
+    return [*tools, Tool("help", "Keys and mouse (?)", viser.Icon.KEYBOARD)]
 
 
 def status_line(state: State) -> str:

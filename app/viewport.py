@@ -1,12 +1,17 @@
 """One browser's view: free, or through a photo's camera with the photo behind the mesh.
 
-viser's camera knows a vertical field of view and nothing else. So the photo is warped,
-on the server, to what a centred pinhole camera of the canvas's shape would have taken;
-then mesh and photo coincide whatever the principal point or fx : fy.
+Two ways to look through. *Move*: the photo is the background, glued to the canvas, and
+the camera follows the view. *Inspect*: the camera stays; the photo is a plane in the
+scene, and the view only turns about the camera's centre and zooms by its field of view,
+so mesh and photo stay together to the pixel at any zoom.
 """
 
+import dataclasses
+import itertools
+import json
 import threading
 import time
+from collections.abc import Callable
 from typing import Literal
 
 import cv2
@@ -14,12 +19,27 @@ import numpy as np
 import viser
 import viser.transforms as vtf
 
+from app.canvas import (
+    SURROUND,
+    backdrop,
+    far_depth,
+    fitting_focal,
+    photo_plane,
+    view_angle,
+    warped_photo,
+    without_skew,
+)
+from app.conductor import Conductor
+from app.controls import notify, put
+from app.hands import Hands
 from app.home_view import home_view
 from app.placement import DisplayFrame
 from app.scene import Scene
-from app.session import Session, with_entry
-from app.state import State
+from app.session import with_entry
+from app.state import PhotoEntry, State
+from app.widgets import run_in_page
 from photoreg.camera import Camera
+from photoreg.photo import Photo
 
 FREE_FOV = np.radians(14.0)
 """Narrow, so that the object is not dwarfed by the cameras that stand before it."""
@@ -37,78 +57,147 @@ GESTURE_PAUSE_S = 2.5
 does not tell when the mouse is released, and draws a frame a second where it has no
 graphics card and much else to do: a shorter rest would cut one drag into several steps."""
 
-SURROUND = {True: (38, 41, 48), False: (229, 232, 237)}
-"""Around the photo that is looked through, on a dark and on a light page."""
+HOLD_S = 0.7
+"""So long after its last move a view keeps the camera in its hand."""
 
 MAX_BACKGROUND_PX = 1600
-FIT = 0.97
+MAX_PLANE_PX = 4096
+PIVOT = 1e-3
+"""Distance of the pivot in Inspect, in page units: the view turns about the camera's
+centre to less than a tenth of a pixel."""
 
-Mode = Literal["free", "move"]
+FARTHEST_PIVOT = 1e4
+"""viser's own limit."""
+
+MAX_ZOOM = 64.0
+
+Mode = Literal["free", "inspect", "move"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Plane:
+    """The photo as it stands in the scene in Inspect."""
+
+    root: viser.SceneNodeHandle
+    image: viser.ImageHandle
+    photo: object
+    """What it shows, to tell whether that has changed."""
 
 
 class Viewport:
     """The view of one browser."""
 
     def __init__(
-        self, client: viser.ClientHandle, session: Session, scene: Scene
+        self,
+        client: viser.ClientHandle,
+        conductor: Conductor,
+        scene: Scene,
+        hands: Hands,
+        wake: Callable[[], None],
     ) -> None:
+        """``wake`` asks for ``show`` on the thread that paints."""
         self.client = client
         self.mode: Mode = "free"
-        self._session = session
+        self.zoom = 1.0
+        """In Inspect: how much larger than the whole photo."""
+        self._conductor = conductor
+        self._session = conductor.session
         self._scene = scene
+        self._hands = hands
+        self._wake = wake
         self._lock = threading.RLock()
         self._hidden: list[viser.SceneNodeHandle] = []
         self._home: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
         self._stands_at: Camera | None = None
+        self._aim: np.ndarray | None = None
         self._settling_until = 0.0
         self._at_home: tuple[np.ndarray, float] | None = None
         self._last_move = -np.inf
         self._gesture = 0
+        self._told_at = -np.inf
+        self._canvas = (0, 0)
         self._background: object = None
-        self._backdrop_shown = False
+        self._plane: Plane | None = None
         self._framed: object = None
+        self._script = client.gui.add_html("")
+        self._ran = ""
+        self._n_scripts = itertools.count()
+        client.camera.min_orbit_distance = PIVOT
         self._hide("/clear")
         client.camera.on_update(self._on_camera)
 
     # What the user asks for.
 
+    def choose(self, mode: Mode) -> None:
+        """Free, or through the selected photo in one of two ways."""
+        with self._lock:
+            if mode == "free":
+                self.free()
+            elif self._session.state.selected_photo is not None:
+                self._look_through(mode)
+
     def free(self) -> None:
-        """Back to the view from before looking through."""
+        """Back to the view from before looking through; home if there already."""
         with self._lock:
             if self.mode == "free":
                 self.go_home(self._session.state)
                 return
+            self._leave_inspect()
             self.mode = "free"
             self._hide("/clear")
             dark = self._session.state.dark
-            self.client.scene.set_background_image(backdrop(dark))
-            self._background = None
+            self._set_background(("free", dark), lambda: backdrop(dark))
             self._stands_at = None
-            camera = self.client.camera
             if self._home is None:
                 self.go_home(self._session.state)
                 return
             position, look_at, up = self._home
             with self.client.atomic():
                 _place(self.client, position, look_at, up)
-                camera.fov = FREE_FOV
+                self.client.camera.fov = FREE_FOV
 
-    def look_through(self) -> None:
-        """Looks through the selected photo's camera; moving the view moves it."""
+    def fit(self) -> None:
+        """Inspect: the whole photo again."""
         with self._lock:
-            if self._session.state.selected_photo is None:
+            if self.mode == "inspect":
+                self.set_zoom(1.0)
+                self._aim = None
+                self._stands_at = None
+                self._wake()
+
+    def set_zoom(self, zoom: float) -> None:
+        """Inspect: how much larger than the whole photo."""
+        with self._lock:
+            entry, view = self._session.state.selected_photo, self.client.camera
+            if self.mode != "inspect" or entry is None:
                 return
-            if self.mode == "free":
-                camera = self.client.camera
-                self._home = (
-                    np.array(camera.position),
-                    np.array(camera.look_at),
-                    np.array(camera.up_direction),
-                )
-                self._hide("/solid", "/cameras")
-            self.mode = "move"
-            self._stands_at = None
-            self.show(self._session.state)
+            self.zoom = float(np.clip(zoom, 1.0, MAX_ZOOM))
+            view.fov = self._inspecting_angle(entry.camera)
+
+    def _look_through(self, mode: Mode) -> None:
+        if self.mode == "free":
+            camera = self.client.camera
+            self._home = (
+                np.array(camera.position),
+                np.array(camera.look_at),
+                np.array(camera.up_direction),
+            )
+            self._hide("/solid", "/cameras")
+        if mode != "inspect":
+            self._leave_inspect()
+        self.mode, self.zoom, self._aim = mode, 1.0, None
+        self._stands_at = None
+        self._wake()
+
+    def _leave_inspect(self) -> None:
+        if self.mode != "inspect":
+            return
+        if self._plane is not None:
+            self._plane.root.remove()
+            self._plane = None
+        camera = self.client.camera
+        camera.max_orbit_distance = FARTHEST_PIVOT
+        self._run("window.photoreg?.inspect?.(null)")
 
     def go_home(self, state: State) -> None:
         """The view from which mesh and cameras are all seen."""
@@ -145,90 +234,222 @@ class Viewport:
                 if self.mode == "free":
                     self.go_home(state)
             if self.mode == "free":
+                self._follow_window(state)
+                self._set_background(("free", state.dark), lambda: backdrop(state.dark))
                 return
             entry = state.selected_photo
             if entry is None:
                 self.free()
                 return
-            camera = entry.camera
-            if camera is not self._stands_at:
-                self._push(camera, state)
-            self._show_background(state)
+            if entry.camera is not self._stands_at:
+                self._push(entry.camera)
+            self._show_photo(state, entry)
 
-    def _push(self, camera: Camera, state: State) -> None:
+    def _push(self, camera: Camera) -> None:
+        """Puts the view where the camera is."""
         rotation, position = self._scene.frame.pose(camera)
-        depth = float((-position) @ rotation[:, 2])
-        if not depth > 0.05:
-            depth = 1.0
+        direction, view = rotation[:, 2], self.client.camera
         self._stands_at = camera
         self._settling_until = time.monotonic() + SETTLE_S
+        if self.mode == "move":
+            depth = float((-position) @ direction)
+            # The pivot lies in the object, so that the view orbits it.
+            distance = depth if depth > 0.05 else 1.0
+        else:
+            distance = PIVOT
+            if self._aim is not None:
+                direction = rotation @ np.linalg.inv(camera.K) @ self._aim
+                direction = direction / np.linalg.norm(direction)
         with self.client.atomic():
             _place(
                 self.client,
                 position,
-                position + depth * rotation[:, 2],
+                position + distance * direction,
                 -rotation[:, 1],
             )
-        self._show_background(state)
+            if self.mode == "inspect":
+                view.max_orbit_distance = PIVOT
 
-    def _show_background(self, state: State) -> None:
-        entry = state.selected_photo
+    def _show_photo(self, state: State, entry: PhotoEntry) -> None:
+        if self.mode == "move":
+            self._show_background(state, entry)
+        else:
+            self._show_plane(state, entry)
+
+    def _shown(self, state: State, entry: PhotoEntry) -> bytes | None:
+        """The worker's picture that takes the photo's place, a JPEG file; or none."""
+        drawn = self._conductor.drawn
+        if drawn is None or drawn.onto != entry.name or not entry.enabled:
+            return None
+        if state.through_style == "photo":
+            return self._conductor.picture
+        return drawn.normals_jpeg if state.through_style == "normals" else None
+
+    def _show_background(self, state: State, entry: PhotoEntry) -> None:
         view = self.client.camera
-        if entry is None or view.image_width < 2 or view.image_height < 2:
+        if view.image_width < 2 or view.image_height < 2:
             return
         scale = min(1.0, MAX_BACKGROUND_PX / max(view.image_width, view.image_height))
-        width, height = (
-            round(view.image_width * scale),
-            round(view.image_height * scale),
-        )
-        K = entry.camera.K
-        key = (id(entry.photo), width, height, K.tobytes(), state.dark)
+        width = round(view.image_width * scale)
+        height = round(view.image_height * scale)
+        focal = fitting_focal(entry.camera, width, height)
+        view.fov = view_angle(focal, height)
+        picture = self._shown(state, entry)
+
+        def warped() -> np.ndarray:
+            photo = (
+                entry.photo.resized(MAX_BACKGROUND_PX)
+                if picture is None
+                else Photo(entry.name, _decoded(picture))
+            )
+            camera = entry.camera.resized(photo.width, photo.height)
+            around = SURROUND[state.dark]
+            return warped_photo(photo.pixels, camera, focal, width, height, around)
+
+        shown = entry.photo if picture is None else picture
+        K = entry.camera.K.tobytes()
+        self._set_background(("move", shown, width, height, K, state.dark), warped)
+
+    def _show_plane(self, state: State, entry: PhotoEntry) -> None:
+        camera, frame, mesh = entry.camera, self._scene.frame, state.document.mesh
+        around = np.full((4, 4, 3), SURROUND[state.dark], dtype=np.uint8)
+        self._set_background(("inspect", state.dark), lambda: around)
+        rotation, position = frame.pose(camera)
+        picture = self._shown(state, entry)
+        shown = entry.photo if picture is None else picture
+        plane = self._plane
+        bounds = np.array([[-1.0] * 3, [1.0] * 3]) if mesh is None else mesh.bounds
+        width, height, centre = photo_plane(camera, far_depth(frame, camera, bounds))
+        if plane is None:
+            root = self.client.scene.add_frame("/through", show_axes=False)
+            image = self.client.scene.add_image(
+                "/through/photo",
+                _plane_pixels(entry),
+                width,
+                height,
+                format="jpeg",
+                jpeg_quality=90,
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+            plane = Plane(root, image, entry.photo)
+        if plane.photo is not shown:
+            if picture is None:
+                plane.image.image = _plane_pixels(entry)
+            else:
+                # A JPEG already: the public setter takes pixels and encodes them anew.
+                plane.image._data = picture
+        with self.client.atomic():
+            plane.root.wxyz = vtf.SO3.from_matrix(rotation).wxyz
+            plane.root.position = position
+            put(plane.image, "render_width", width)
+            put(plane.image, "render_height", height)
+            plane.image.position = centre
+        self._plane = Plane(plane.root, plane.image, shown)
+        view = self.client.camera
+        self._canvas = (view.image_width, view.image_height)
+        view.fov = self._inspecting_angle(camera)
+        fit = float(np.degrees(self._inspecting_angle(camera, 1.0)))
+        self._run(f"window.photoreg?.inspect?.({json.dumps(round(fit, 9))})")
+
+    def _inspecting_angle(self, camera: Camera, zoom: float | None = None) -> float:
+        view = self.client.camera
+        width, height = max(view.image_width, 2), max(view.image_height, 2)
+        focal = fitting_focal(camera, width, height)
+        return view_angle(focal * (self.zoom if zoom is None else zoom), height)
+
+    def _set_background(self, key: object, picture: Callable[[], np.ndarray]) -> None:
+        """Sends the background that ``picture`` makes, unless it is there already."""
         if key == self._background:
             return
         self._background = key
-        focal = fitting_focal(entry.camera, width, height)
-        photo = entry.photo.resized(MAX_BACKGROUND_PX)
-        camera = entry.camera.resized(photo.width, photo.height)
-        warped = warped_photo(
-            photo.pixels, camera, focal, width, height, SURROUND[state.dark]
+        self.client.scene.set_background_image(
+            picture(), format="jpeg", jpeg_quality=88
         )
-        with self.client.atomic():
-            view.fov = 2.0 * np.arctan(0.5 * height / focal)
-            self.client.scene.set_background_image(
-                warped, format="jpeg", jpeg_quality=88
-            )
+
+    def _run(self, script: str) -> None:
+        """Runs a line of JavaScript in this browser, unless it was the last one."""
+        if self._ran == script:
+            return
+        self._ran = script
+        # The number makes it new to the page, which runs only what has changed.
+        self._script.content = run_in_page(f"{script};/*{next(self._n_scripts)}*/")
 
     # What the browser reports.
 
     async def _on_camera(self, view: viser.CameraHandle) -> None:
         with self._lock:
             state = self._session.state
+            entry = state.selected_photo
             if self.mode == "free":
                 self._follow_window(state)
-                return
-            self._show_background(state)
-            now = time.monotonic()
-            entry = state.selected_photo
-            if entry is None or state.run.status != "idle":
-                return
-            rotation = vtf.SO3(view.wxyz).as_matrix()
-            moved = self._scene.frame.with_pose(
-                entry.camera, rotation, np.array(view.position)
-            )
-            if _apart(self._scene.frame, moved, entry.camera) < ECHO_TOLERANCE:
-                self._settling_until = 0.0
-                return
-            if now < self._settling_until:
-                return
-            if now - self._last_move > GESTURE_PAUSE_S:
-                self._gesture += 1
-            self._last_move = now
-            gesture = ("view", self.client.client_id, self._gesture)
-            self._stands_at = moved
-            index = state.selected
-            self._session.change(
-                f"Move camera {index + 1}", with_entry(index, camera=moved), gesture
-            )
+            elif entry is not None:
+                if self.mode == "move":
+                    self._show_photo(state, entry)
+                    self._follow_hand(view, state, entry)
+                else:
+                    self._follow_eye(view, entry)
+
+    def _follow_hand(
+        self, view: viser.CameraHandle, state: State, entry: PhotoEntry
+    ) -> None:
+        """Move: the camera goes where the view goes."""
+        if state.run.status != "idle":
+            return
+        now, index = time.monotonic(), state.selected
+        rotation = vtf.SO3(view.wxyz).as_matrix()
+        moved = self._scene.frame.with_pose(
+            entry.camera, rotation, np.array(view.position)
+        )
+        if _apart(self._scene.frame, moved, entry.camera) < ECHO_TOLERANCE:
+            self._settling_until = 0.0
+            return
+        if now < self._settling_until:
+            return
+        if not self._hands.take(self.client.client_id, index, HOLD_S):
+            if now - self._told_at > GESTURE_PAUSE_S:
+                notify(
+                    self.client,
+                    "Somebody else has it",
+                    f"Camera {index + 1} is being moved in another browser.",
+                    False,
+                )
+            self._told_at = now
+            self._push(entry.camera)
+            return
+        if now - self._last_move > GESTURE_PAUSE_S:
+            self._gesture += 1
+        self._last_move = now
+        self._stands_at = moved
+        self._session.change(
+            f"Move camera {index + 1}",
+            with_entry(index, camera=moved),
+            ("view", self.client.client_id, self._gesture),
+        )
+
+    def _follow_eye(self, view: viser.CameraHandle, entry: PhotoEntry) -> None:
+        """Inspect: remembers where the view looks and how far it is zoomed in."""
+        camera, frame = entry.camera, self._scene.frame
+        rotation, position = frame.pose(camera)
+        off = float(np.abs(np.array(view.position) - position).max())
+        if off > 2.0 * PIVOT:
+            if time.monotonic() >= self._settling_until:
+                self._push(camera)
+            return
+        self._settling_until = 0.0
+        if self._plane is None:
+            return  # It is on its way.
+        if (view.image_width, view.image_height) != self._canvas:
+            self._show_plane(self._session.state, entry)
+            return
+        direction = rotation.T @ vtf.SO3(view.wxyz).as_matrix()[:, 2]
+        if direction[2] > 0.1:
+            self._aim = camera.K @ (direction / direction[2])
+        fitting = np.tan(0.5 * self._inspecting_angle(camera, 1.0))
+        zoom = float(fitting / np.tan(0.5 * view.fov))
+        if abs(zoom / self.zoom - 1.0) > 1e-3:
+            self.zoom = zoom
+            self._wake()
 
     def _hide(self, *names: str) -> None:
         """Hides shared nodes for this browser alone, and shows the others again.
@@ -243,14 +464,16 @@ class Viewport:
         ]
 
 
-def backdrop(dark: bool) -> np.ndarray:
-    """A quiet gradient behind the scene, (256, 8, 3) bytes."""
-    top, bottom = (
-        ((44, 49, 58), (17, 19, 23)) if dark else ((250, 250, 251), (214, 219, 226))
-    )
-    shade = np.linspace(0.0, 1.0, 256)[:, None, None]
-    column = (1.0 - shade) * np.array(top) + shade * np.array(bottom)
-    return np.repeat(np.rint(column).astype(np.uint8), 8, axis=1)
+def _plane_pixels(entry: PhotoEntry) -> np.ndarray:
+    photo = entry.photo.resized(MAX_PLANE_PX)
+    camera = entry.camera.resized(photo.width, photo.height)
+    return without_skew(photo.pixels, camera)
+
+
+def _decoded(jpeg: bytes) -> np.ndarray:
+    data = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+    assert data is not None, "The worker writes valid files."
+    return cv2.cvtColor(data, cv2.COLOR_BGR2RGB)
 
 
 def _apart(frame: DisplayFrame, first: Camera, second: Camera) -> float:
@@ -273,38 +496,3 @@ def _place(
     camera.position = position
     camera.look_at = position + LONG_LOOK * direction
     camera.look_at = look_at
-
-
-def fitting_focal(camera: Camera, width: int, height: int) -> float:
-    """Focal length, in canvas pixels, with which the whole photo is in the canvas."""
-    K = camera.K
-    x = max(K[0, 2] + 0.5, camera.width - 0.5 - K[0, 2]) / K[0, 0]
-    y = max(K[1, 2] + 0.5, camera.height - 0.5 - K[1, 2]) / K[1, 1]
-    return FIT * min(0.5 * width / x, 0.5 * height / y)
-
-
-def warped_photo(
-    pixels: np.ndarray,
-    camera: Camera,
-    focal: float,
-    width: int,
-    height: int,
-    around: tuple[int, int, int] = SURROUND[True],
-) -> np.ndarray:
-    """The photo as a camera with centred principal point and square pixels sees it.
-
-    Canvas pixel (x, y), centre of the first at 0, shows the ray
-    ((x - (w - 1) / 2) / focal, (y - (h - 1) / 2) / focal, 1).
-    """
-    C = np.array(
-        [[focal, 0, 0.5 * (width - 1)], [0, focal, 0.5 * (height - 1)], [0, 0, 1]]
-    )
-    M = (C @ np.linalg.inv(camera.K))[:2]
-    return cv2.warpAffine(
-        pixels,
-        M,
-        (width, height),
-        flags=cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=around,
-    )

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from app.canvas import fitting_focal, warped_photo
 from app.opening import open_files, open_folder
 from app.placement import (
     DisplayFrame,
@@ -14,7 +15,6 @@ from app.placement import (
     up_of,
     with_focal,
 )
-from app.viewport import fitting_focal, warped_photo
 from app.warm_up import toy_scene
 from photoreg.camera import Camera
 from photoreg.errors import InputError

@@ -93,6 +93,11 @@ class Driver:
         """Clicks a button by its exact label."""
         self.page.get_by_role("button", name=button, exact=True).click()
 
+    def choose(self, group: str, option: str) -> None:
+        """Chooses one of a row of options, by their exact labels."""
+        row = self.page.get_by_role("radiogroup", name=group, exact=True)
+        row.get_by_role("radio", name=option, exact=True).click()
+
     def canvas(self) -> dict[str, float]:
         """Position and size of the 3-D canvas in the window."""
         return self.page.evaluate(

@@ -126,7 +126,7 @@ def look_through(app, driver: Driver, camera: Camera) -> None:
     """Looks through the photo and waits until the view has got there."""
     driver.dismiss_toasts()
     driver.tab("2 Align")
-    driver.click("Look through")
+    driver.choose("View", "Move")
     centre = app.page.scene.frame.to_page(camera.center)
 
     def off() -> float:

@@ -30,7 +30,7 @@ def test_the_view_through_a_photo_is_its_camera_and_dragging_it_moves_the_camera
 ):
     driver, frame = app.driver, app.page.scene.frame
     driver.tab("2 Align")
-    driver.click("Look through")
+    driver.choose("View", "Move")
     camera = toy_document.photos[0].camera
     centre = frame.to_page(camera.center)
 
@@ -63,7 +63,7 @@ def test_the_view_through_a_photo_is_its_camera_and_dragging_it_moves_the_camera
     wait_until(lambda: off() < 1e-5, "undo moves the view back", 30)
     assert app.state.document.photos == toy_document.photos
     assert app.state.undo_name == opened
-    driver.click("Free view")
+    driver.choose("View", "Free")
 
 
 def test_undo_and_redo_by_keyboard_and_by_named_buttons(app, toy_document):
@@ -125,6 +125,7 @@ def test_a_typed_focal_length_out_of_range_is_refused_with_a_sentence(
 ):
     driver = app.driver
     driver.tab("2 Align")
+    driver.page.get_by_text("Numbers", exact=True).click()
     box = driver.page.get_by_label("Focal length, px")
     box.fill("250")
     wait_until(

@@ -43,7 +43,7 @@ def test_a_person_s_whole_way(open_app, tmp_path):
     driver.tab("2 Align")
     driver.frames(3)
     free = driver.page.screenshot(clip=driver.canvas())  # pyright: ignore[reportArgumentType]
-    driver.click("Look through")
+    driver.choose("View", "Move")
     centre = app.page.scene.frame.to_page(demo.photos[0].camera.center)
     wait_until(
         lambda: (
@@ -55,7 +55,7 @@ def test_a_person_s_whole_way(open_app, tmp_path):
     driver.frames(3)
     through = driver.page.screenshot(clip=driver.canvas())  # pyright: ignore[reportArgumentType]
     assert through != free
-    driver.click("Free view")
+    driver.choose("View", "Free")
     driver.frames(3)
     assert app.state.document is demo, "looking must not move anything"
 
