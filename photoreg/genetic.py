@@ -2,10 +2,14 @@
 
 Where the paper is silent the defaults are those of GAlib 2.4, the library it used:
 crossover probability 0.9, a quarter of the population replaced each generation in the
-steady-state algorithm, linear scaling of the fitness for the roulette wheel.
+steady-state algorithm, linear scaling of the fitness for the roulette wheel, a
+tournament between two that the wheel drew, and a fixed number of mutations a child.
+GAlib mutates by a Gaussian of deviation 1 in each gene's own unit, which the paper does
+not tell; so the deviation here is ours.
 """
 
 import dataclasses
+import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Literal
 
@@ -15,8 +19,9 @@ from jaxtyping import Float
 from photoreg.errors import InputError
 
 Replacement = Literal["steady_state", "generational"]
-Selection = Literal["tournament", "roulette"]
+Selection = Literal["wheel_tournament", "tournament", "roulette"]
 Crossover = Literal["uniform", "single_point"]
+Mutations = Literal["fixed_number", "each_gene"]
 StopReason = Literal["generations", "cost level", "stagnation"]
 
 ROULETTE_BEST_OVER_MEAN = 1.2
@@ -40,9 +45,10 @@ class GeneticConfig:
     children replace it, and the best survives."""
     replaced_share: float = 0.25
     """Share of the population bred each generation in steady_state, in (0, 1]."""
-    selection: Selection = "tournament"
-    """How parents are chosen: the best of a random few, or by a roulette wheel whose
-    slots grow with fitness."""
+    selection: Selection = "wheel_tournament"
+    """How parents are chosen. roulette: by a wheel whose slots grow with fitness.
+    tournament: the best of a random few. wheel_tournament: the best of a few that the
+    wheel drew, as GAlib has it."""
     tournament_size: int = 2
     """How many meet in a tournament, at least 1."""
     crossover: Crossover = "uniform"
@@ -51,6 +57,10 @@ class GeneticConfig:
     """Probability that two parents cross rather than are copied, in [0, 1]."""
     mutation_rate: float = 0.1
     """Probability that a gene of a child is mutated, in [0, 1]."""
+    mutations: Mutations = "fixed_number"
+    """each_gene: each gene is mutated or not by itself. fixed_number: rate times genes,
+    rounded up, genes drawn at random, as GAlib does it; each_gene where that is below 1.
+    """
     mutation_sigma: float = 0.2
     """Standard deviation of a mutation at first, as a share of the gene's half
     interval, above 0."""
@@ -256,19 +266,31 @@ def _breed(
     sigma = config.mutation_sigma * (
         (config.mutation_sigma_end / config.mutation_sigma) ** progress
     )
-    mutated = rng.random(children.shape) < config.mutation_rate
-    steps = sigma * rng.standard_normal(children.shape)
-    return np.clip(children + np.where(mutated, steps, 0.0), -1.0, 1.0)
+    expected = config.mutation_rate * n_genes
+    if config.mutations == "each_gene" or expected < 1.0:
+        mutated = rng.random(children.shape) < config.mutation_rate
+        steps = sigma * rng.standard_normal(children.shape)
+        return np.clip(children + np.where(mutated, steps, 0.0), -1.0, 1.0)
+    rows = np.arange(n_children)
+    for _ in range(math.ceil(expected)):
+        at = rng.integers(0, n_genes, n_children)
+        stepped = children[rows, at] + sigma * rng.standard_normal(n_children)
+        children[rows, at] = np.clip(stepped, -1.0, 1.0)
+    return children
 
 
 def _select(
     cost: np.ndarray, n: int, config: GeneticConfig, rng: np.random.Generator
 ) -> np.ndarray:
     """Indices of ``n`` parents."""
+    if config.selection == "roulette":
+        return rng.choice(len(cost), n, p=roulette_shares(cost))
+    size = (n, config.tournament_size)
     if config.selection == "tournament":
-        entrants = rng.integers(0, len(cost), (n, config.tournament_size))
-        return entrants[np.arange(n), np.argmin(cost[entrants], axis=1)]
-    return rng.choice(len(cost), n, p=roulette_shares(cost))
+        entrants = rng.integers(0, len(cost), size)
+    else:
+        entrants = rng.choice(len(cost), size, p=roulette_shares(cost))
+    return entrants[np.arange(n), np.argmin(cost[entrants], axis=1)]
 
 
 def roulette_shares(cost: Float[np.ndarray, "p"]) -> Float[np.ndarray, "p"]:

@@ -184,6 +184,31 @@ def list_seen(seen, index):
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
+def project_all(
+    points, projections, centers, layouts, min_cosine, allowed, u, v, seen, index
+):
+    """Projects samples by all cameras of an individual and lists what two see.
+
+    Arguments are those of ``project``, one row a photo; ``index`` is written too.
+    Returns how many samples are listed.
+    """
+    for i in range(len(projections)):
+        project(
+            points,
+            projections[i],
+            centers[i],
+            layouts[i, 1],
+            layouts[i, 2],
+            min_cosine,
+            allowed[i],
+            u[i],
+            v[i],
+            seen[i],
+        )
+    return list_seen(seen, index)
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def drop_masked(seen, index, n, colours):
     """Takes out what fell outside a photo's mask; returns how many samples are left."""
     n_photos = seen.shape[0]
@@ -264,20 +289,18 @@ def population_costs(
         gains = np.ones((n_photos, 4), np.float32)
         offsets = np.zeros((n_photos, 4), np.float32)
         for individual in range(chunk, n_individuals, n_chunks):
-            for i in range(n_photos):
-                project(
-                    points,
-                    projections[individual, i],
-                    centers[individual, i],
-                    layouts[i, 1],
-                    layouts[i, 2],
-                    min_cosine,
-                    allowed[i],
-                    u[i],
-                    v[i],
-                    seen[i],
-                )
-            n_seen = list_seen(seen, index)
+            n_seen = project_all(
+                points,
+                projections[individual],
+                centers[individual],
+                layouts,
+                min_cosine,
+                allowed,
+                u,
+                v,
+                seen,
+                index,
+            )
             for i in range(n_photos):
                 sample(
                     pixels,

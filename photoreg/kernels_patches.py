@@ -7,7 +7,7 @@ and what is compared is the pattern of colours, not the colours.
 import numba as nb
 import numpy as np
 
-from photoreg.kernels import list_seen, project
+from photoreg.kernels import project_all
 from photoreg.kernels_exposure import FASTMATH
 
 FLAT = np.float32(1e-6)
@@ -129,20 +129,18 @@ def population_mncc(
         colours = np.zeros((n_patch, 3), np.float32)
         summed = np.zeros((n_patch, 3), np.float32)
         for individual in range(chunk, n_individuals, n_chunks):
-            for i in range(n_photos):
-                project(
-                    points,
-                    projections[individual, i],
-                    centers[individual, i],
-                    layouts[i, 1],
-                    layouts[i, 2],
-                    min_cosine,
-                    allowed[i],
-                    u[i],
-                    v[i],
-                    seen[i],
-                )
-            n_seen = list_seen(seen, index)
+            n_seen = project_all(
+                points,
+                projections[individual],
+                centers[individual],
+                layouts,
+                min_cosine,
+                allowed,
+                u,
+                v,
+                seen,
+                index,
+            )
             total, count = 0.0, 0
             for k in range(n_seen):
                 j = index[k]

@@ -28,7 +28,9 @@ SHORT_SEARCH = GeneticConfig(
     population=300,
     generations=100,
     restarts=1,
+    selection="tournament",
     tournament_size=4,
+    mutations="each_gene",
     mutation_sigma_end=0.05,
 )
 

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from photoreg import genetic
 from photoreg.errors import InputError
 from photoreg.genetic import GeneticConfig, evolve, roulette_shares
 
@@ -25,7 +26,7 @@ def run(config=SMALL, seed=0, costs=bowl, start=None):
 
 
 @pytest.mark.parametrize("replacement", ["steady_state", "generational"])
-@pytest.mark.parametrize("selection", ["tournament", "roulette"])
+@pytest.mark.parametrize("selection", ["wheel_tournament", "tournament", "roulette"])
 @pytest.mark.parametrize("crossover", ["uniform", "single_point"])
 def test_every_variant_finds_the_bottom_of_a_bowl(replacement, selection, crossover):
     config = dataclasses.replace(
@@ -66,6 +67,36 @@ def test_restarts_keep_only_the_best():
 
 def test_the_paper_preset_counts_65_000_evaluations():
     assert run(GeneticConfig())[-1].evaluations == 5 * (500 + 100 * 125)
+
+
+@pytest.mark.parametrize(("rate", "most"), [(0.2, 1), (0.3, 2), (1.0, 5)])
+def test_a_fixed_number_of_genes_mutates(rate, most):
+    config = dataclasses.replace(
+        SMALL, generations=1, restarts=1, mutation_rate=rate, replacement="generational"
+    )
+    seen = []
+
+    def costs(genes):
+        seen.append(genes.copy())
+        return bowl(genes)
+
+    list(evolve(costs, lambda n, rng: np.tile(0.5 * TARGET, (n, 1)), config, 0))
+    changed = (seen[1] != 0.5 * TARGET).sum(axis=1)
+    # Drawn with replacement: rate times genes, rounded up, at most; at least one.
+    assert changed.max() == most, changed
+    assert changed.min() >= 1, changed
+
+
+def test_the_wheels_tournament_presses_harder_than_the_wheel():
+    cost = np.linspace(1.0, 2.0, 50)
+    means = {}
+    for selection in ("roulette", "tournament", "wheel_tournament"):
+        config = dataclasses.replace(SMALL, selection=selection)
+        chosen = genetic._select(cost, 20_000, config, np.random.default_rng(0))
+        means[selection] = cost[chosen].mean()
+    # The better of two of 50 even steps lies at a third; the wheel alone near a half.
+    assert np.isclose(means["tournament"], 4.0 / 3.0, atol=0.01), means
+    assert means["wheel_tournament"] < means["tournament"] < means["roulette"], means
 
 
 def test_nan_never_wins():

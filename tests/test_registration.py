@@ -248,7 +248,11 @@ def test_the_paper_preset_is_the_papers():
     assert not consistency.relative
     assert consistency.blur_px == 0.0
     assert (genetic.population, genetic.generations, genetic.restarts) == (500, 100, 5)
-    assert (genetic.replacement, genetic.selection) == ("steady_state", "tournament")
+    # The tournament and the mutations are those of GAlib, which the paper used.
+    assert genetic.replacement == "steady_state"
+    assert (genetic.selection, genetic.tournament_size) == ("wheel_tournament", 2)
+    assert genetic.mutations == "fixed_number"
+    assert (genetic.replaced_share, genetic.crossover_rate) == (0.25, 0.9)
     assert (genetic.crossover, genetic.mutation_rate) == ("uniform", 0.1)
     assert (box.focal, box.principal_point) == (0.02, 0.005)
     assert (box.translation, box.rotation_deg) == (0.03, 1.0)
