@@ -18,7 +18,7 @@ from photoreg.photometric import (
     measure_noise,
     pair_points,
     prepare_photo,
-    surface_view,
+    surface_views,
 )
 from photoreg.silhouette import find_edges, find_rim
 
@@ -27,6 +27,8 @@ SIDE_PX = 1024
 BLUR_PX = 1.0
 CELL_PX = 48.0
 N_POINTS = 6_000
+"""Surface points over all pairs of photos; a pair has ``MIN_POINTS`` or more."""
+MIN_POINTS = 1_000
 RIM_POINTS = 400
 RIM_REACH_PX = 8.0
 """A rim point without an edge this near counts as this far off."""
@@ -44,11 +46,12 @@ def disagreement(
     ``RIM_REACH_PX``; 1 where there is no rim.
     """
     small = [_reduced(camera) for camera in cameras]
-    views = [surface_view(mesh, camera) for camera in small]
+    views = surface_views(mesh, small)
     images = [
         prepare_photo(photo, view, BLUR_PX)
         for photo, view in zip(photos, views, strict=True)
     ]
+    n_pairs = max(1, len(photos) * (len(photos) - 1) // 2)
     colour = []
     for k in range(len(photos)):
         for i in range(k):
@@ -56,7 +59,7 @@ def disagreement(
                 mesh,
                 (photos[i], photos[k]),
                 (views[i], views[k]),
-                N_POINTS,
+                max(MIN_POINTS, N_POINTS // n_pairs),
                 CELL_PX,
                 EDGE_MARGIN_PX,
                 min_cosine,

@@ -21,11 +21,11 @@ from photoreg.photo import Photo
 from photoreg.photometric import (
     EDGE_MARGIN_PX,
     PairTerm,
-    SurfaceView,
     camera_rays,
     pair_points,
     prepare_photo,
     surface_view,
+    surface_views,
 )
 from photoreg.polish import Damping, Prior, minimise, total
 from photoreg.silhouette import OUTLINE_SIGMA_PX, RimTerm, find_edges, find_rim
@@ -298,19 +298,22 @@ def _terms(
     seed: int,
 ) -> list[PairTerm | RimTerm]:
     blur, n_points = config.blurs_px[level], config.points[level]
-    views: list[SurfaceView] = []
-    images: list[np.ndarray] = []
+    small: list[Camera] = []
     blurs: list[float] = []
-    for camera, photo, size in zip(_cameras(increments, x), photos, sizes, strict=True):
+    for camera, size in zip(_cameras(increments, x), sizes, strict=True):
         sigma = blur * size[0] / 1024.0 if blur > 0.5 else blur
         reduction = 2 ** max(0, int(np.floor(np.log2(max(sigma, 1.0) / 1.5))))
-        small = camera.resized(
-            max(16, round(size[0] / reduction)), max(16, round(size[1] / reduction))
+        small.append(
+            camera.resized(
+                max(16, round(size[0] / reduction)), max(16, round(size[1] / reduction))
+            )
         )
-        view = surface_view(mesh, small)
-        views.append(view)
         blurs.append(sigma / reduction)
-        images.append(prepare_photo(photo, view, blurs[-1]))
+    views = surface_views(mesh, small)
+    images = [
+        prepare_photo(photo, view, sigma)
+        for photo, view, sigma in zip(photos, views, blurs, strict=True)
+    ]
     pairs = [(i, k) for k in range(len(photos)) for i in range(k)]
     terms: list[PairTerm | RimTerm] = []
     if config.use_silhouette:

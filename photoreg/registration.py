@@ -128,6 +128,8 @@ class _Run:
         self.reason = ""
         self.start_cost = self.cost = np.inf
         self.uncertainty: Uncertainty | None = None
+        self.reduced: tuple[Photo, ...] = ()
+        """The photos that take part, as small as the polish wants them."""
 
     def go_on_from(self, checkpoint: Checkpoint) -> None:
         """Makes ``events`` go on from there."""
@@ -324,6 +326,9 @@ class _Run:
     def _polish(self) -> Iterator[Progress]:
         """Polishes from where search or start agree better; from both when in doubt."""
         min_cosine = self.config.polish.min_cosine
+        side = self.config.polish.max_side_px
+        # Once for all levels: they never look at more pixels.
+        self.reduced = tuple(photo.resized(side) for photo in self.photos)
         # Where the light moved, the search's colours mislead it, by 60 px once; where
         # the start is far off, only the search is near. What the polish will compare
         # tells which.
@@ -331,7 +336,7 @@ class _Run:
         if self.best != self.start:
             ways["search"] = self.best
         scores = {
-            way: disagreement(self.mesh, self.photos, cameras, min_cosine)
+            way: disagreement(self.mesh, self.reduced, cameras, min_cosine)
             for way, cameras in ways.items()
         }
         self.start_cost = scores["start"]
@@ -368,7 +373,7 @@ class _Run:
         level, steps = -1, 0
         for step in polish_cameras(
             self.mesh,
-            self.photos,
+            self.reduced,
             cameras,
             self.start,
             self.config.polish,

@@ -118,16 +118,12 @@ def _at_border(mesh: Mesh, faces: Int[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]
     """Whether each face has an edge that no other face has (repeated vertices as one)."""
     # Only the faces around those asked for are looked at: a whole mesh's edges would
     # take a second a million faces. Vertices at one position are one, as along the
-    # seams of some files; equal hashes of the bits stand for equal positions.
-    bits = np.ascontiguousarray(mesh.vertices + 0.0).view(np.uint64)
-    factors = np.array(
-        [0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64
-    )
-    position = ((bits ^ (bits >> np.uint64(29))) * factors).sum(axis=1, dtype=np.uint64)
-    near = np.isin(position, position[np.unique(mesh.faces[faces])])
-    around = np.flatnonzero(near[mesh.faces].any(axis=1))
-    _, welded = np.unique(position[mesh.faces[around]], return_inverse=True)
-    vertices = welded.reshape(-1, 3).astype(np.int64)
+    # seams of some files.
+    position = mesh.position_index
+    is_near = np.zeros(len(position), dtype=bool)
+    is_near[position[mesh.faces[faces]]] = True
+    around = np.flatnonzero(is_near[position][mesh.faces].any(axis=1))
+    vertices = position[mesh.faces[around]]
     ends = np.stack([vertices, np.roll(vertices, -1, axis=1)], axis=-1)
     low_end, high_end = ends.min(axis=-1), ends.max(axis=-1)
     keys = low_end * (vertices.max() + 1) + high_end
