@@ -35,8 +35,8 @@ format: .venv/.stamp-dev ## Format the code and mend what ruff can
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-bench: .venv/.stamp-dev ## Measure speed and accuracy; DATA=folder adds real sets
-	$(BIN)/python -m tests.bench $(if $(DATA),--data $(DATA))
+bench: .venv/.stamp-dev ## Measure speed and accuracy (15 minutes); DATA=folder adds real sets, ARGS="kernel --gate" picks
+	$(BIN)/python -m tests.bench $(if $(DATA),--data $(DATA)) $(ARGS)
 
 screenshots: .venv/.stamp-dev ## Take the README's pictures from the running app
 	@$(BIN)/python tests/browser/ensure_chromium.py

@@ -98,6 +98,39 @@ def test_the_gate_ends_with_status_1_only_on_a_regression(
     assert figure["value"] == value
 
 
+def test_no_bench_begins_after_the_time_is_over(monkeypatch, capsys):
+    begun = []
+
+    def slow(name):
+        def run(_):
+            begun.append(name)
+            bench_main.time.sleep(0.05)
+            return iter([Metric(f"{name}.error", 1.0, "px", "lower")])
+
+        return run
+
+    for name in ("made_up", "later"):
+        monkeypatch.setitem(BENCHES, name, slow(name))
+    assert bench_main.main(("made_up", "later"), minutes=1e-4) == 0
+    assert begun == ["made_up"]
+    assert "later: left out" in capsys.readouterr().out
+    bench_main.main(("made_up", "later"), minutes=0.0)
+    assert begun == ["made_up", "made_up", "later"]
+
+
+def test_the_markdown_table_has_a_row_a_figure_and_says_what_was_missed():
+    table = bench_main.markdown_table(
+        [
+            Metric("a.mean", 0.123456, "px", "lower", 0.1, note="n=3"),
+            Metric("b", 2.0, "x", "higher"),
+        ]
+    )
+    head, _, first, second = table.splitlines()
+    assert head.startswith("| figure | value |")
+    assert first == "| a.mean | 0.123 px | ≤ 0.1 | **missed** | n=3 |"
+    assert second == "| b | 2 x |  |  |  |"
+
+
 def test_an_unknown_bench_is_named_with_those_that_exist(capsys):
     assert bench_main.main(("no_such",)) == 2
     said = capsys.readouterr().out
