@@ -1,5 +1,6 @@
 """The polish of cameras: levels, terms, prior; from rough cameras to precise ones."""
 
+import concurrent.futures
 import dataclasses
 from collections.abc import Iterator, Sequence
 
@@ -310,10 +311,8 @@ def _terms(
         )
         blurs.append(sigma / reduction)
     views = surface_views(mesh, small)
-    images = [
-        prepare_photo(photo, view, sigma)
-        for photo, view, sigma in zip(photos, views, blurs, strict=True)
-    ]
+    with concurrent.futures.ThreadPoolExecutor() as threads:
+        images = list(threads.map(prepare_photo, photos, views, blurs))
     pairs = [(i, k) for k in range(len(photos)) for i in range(k)]
     terms: list[PairTerm | RimTerm] = []
     if config.use_silhouette:

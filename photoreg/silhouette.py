@@ -122,7 +122,9 @@ def _at_border(mesh: Mesh, faces: Int[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]
     position = mesh.position_index
     is_near = np.zeros(len(position), dtype=bool)
     is_near[position[mesh.faces[faces]]] = True
-    around = np.flatnonzero(is_near[position][mesh.faces].any(axis=1))
+    touches = is_near[position]
+    a, b, c = (touches[mesh.faces[:, corner]] for corner in range(3))
+    around = np.flatnonzero(a | b | c)
     vertices = position[mesh.faces[around]]
     ends = np.stack([vertices, np.roll(vertices, -1, axis=1)], axis=-1)
     low_end, high_end = ends.min(axis=-1), ends.max(axis=-1)
