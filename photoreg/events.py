@@ -95,7 +95,8 @@ class Finished:
     """Seconds by phase: prepare, search, polish."""
     expected_errors_px: tuple[float | None, ...] = ()
     """Expected projection error of each photo's camera in pixels; None where a photo
-    took no part. Empty where no polish ran: the search alone cannot tell."""
+    took no part or its camera was held. Empty where no polish ran: the search alone
+    cannot tell."""
     standard_errors: tuple[str, ...] = ()
     """How sure each camera is, in plain words: one sentence a photo that took part."""
     undetermined: tuple[str, ...] = ()

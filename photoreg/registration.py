@@ -431,8 +431,12 @@ class _Run:
         expected: list[float | None] = [None] * len(self.given)
         words = []
         for i, camera in zip(self.active, self.uncertainty.cameras, strict=True):
+            name = self.given_photos[i].name
+            if self.given_freedom.of(i).everything:
+                words.append(f"{name}: held as it was.")
+                continue
             expected[i] = camera.expected_error_px
-            words.append(camera.in_words(self.given_photos[i].name))
+            words.append(camera.in_words(name))
         return tuple(expected), tuple(words), self.uncertainty.undetermined
 
     @property

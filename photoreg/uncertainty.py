@@ -39,12 +39,18 @@ class CameraUncertainty:
     def in_words(self, name: str) -> str:
         """The standard errors in one sentence about the photo called ``name``."""
         aside, along = max(self.position_share[:2]), self.position_share[2]
+        pose = "rotation and position held"
+        if max(*self.rotation_deg, aside, along) > 0.0:
+            pose = (
+                f"rotation ±{max(self.rotation_deg):.2g}°, position ±{100.0 * aside:.2g} "
+                f"% of the distance across the view and ±{100.0 * along:.2g} % along it"
+            )
+        focal, principal = self.focal_share, max(self.principal_px)
+        focal_words = f"±{100.0 * focal:.2g} %" if focal > 0.0 else "held"
+        principal_words = f"±{principal:.2g} px" if principal > 0.0 else "held"
         return (
-            f"{name}: expected error {self.expected_error_px:.2g} px; rotation "
-            f"±{max(self.rotation_deg):.2g}°, position ±{100.0 * aside:.2g} % of the "
-            f"distance across the view and ±{100.0 * along:.2g} % along it, focal length "
-            f"±{100.0 * self.focal_share:.2g} %, principal point "
-            f"±{max(self.principal_px):.2g} px."
+            f"{name}: expected error {self.expected_error_px:.2g} px; {pose}, focal "
+            f"length {focal_words}, principal point {principal_words}."
         )
 
 
@@ -60,8 +66,9 @@ class Uncertainty:
 
     @property
     def expected_error_px(self) -> float:
-        """Mean over the cameras of the expected projection error, in pixels."""
-        return float(np.mean([camera.expected_error_px for camera in self.cameras]))
+        """Mean of the expected projection errors of the cameras that moved, in pixels."""
+        errors = [camera.expected_error_px for camera in self.cameras]
+        return float(np.mean([error for error in errors if error != 0.0]))
 
 
 def estimate_uncertainty(

@@ -90,6 +90,24 @@ def test_refine_evaluate_texture_is_the_whole_way(folder, tmp_path, capsys):
     assert uv.max() <= 1.0
 
 
+def test_what_is_locked_or_shared_is_so_in_the_file(folder, tmp_path, capsys):
+    out = tmp_path / "refined.json"
+    words = refine_words(folder, out=str(out))
+    first, second = (Path(path).name for path in photo_paths(folder))
+    search = ["--population", "20", "--generations", "2", "--no-polish-after"]
+    rough = load_cameras(folder / "rough.json").cameras
+    assert run([*words, *search, "--lock", first]) == 0
+    cameras = load_cameras(out).cameras
+    assert np.array_equal(cameras[first].P, rough[first].P)
+    assert not np.array_equal(cameras[second].P, rough[second].P)
+    assert run([*words, *search, "--share-focal", "--lock-focal", second]) == 0
+    cameras = load_cameras(out).cameras
+    assert cameras[first].focal_px == cameras[second].focal_px == rough[second].focal_px
+    capsys.readouterr()
+    said = refused([*words, "--lock-pose", "nobody.png"], capsys)
+    assert "no photo nobody.png to hold" in said
+
+
 def test_evaluate_of_the_truth_is_zero(folder, capsys):
     truth = str(folder / "truth.json")
     words = ["evaluate", str(folder / "mesh.ply"), "--cameras", truth]

@@ -137,13 +137,22 @@ def test_every_event_keeps_what_is_held(freedom):
     last = events[-1]
     assert isinstance(last, Finished)
     assert any(not same(a.P, b.P) for a, b in zip(start, last.cameras, strict=True))
+    moved = []
     for i, photo in enumerate(scene.photos):
         if freedom.of(i).everything:
-            assert last.expected_errors_px[i] == 0.0, photo.name
-        else:
-            expected = last.expected_errors_px[i]
-            assert expected is not None
-            assert expected > 0.0, photo.name
+            assert last.expected_errors_px[i] is None
+            assert last.standard_errors[i] == f"{photo.name}: held as it was."
+            continue
+        expected = last.expected_errors_px[i]
+        assert expected is not None
+        assert expected > 0.0, photo.name
+        moved.append(expected)
+        held = freedom.of(i)
+        words = last.standard_errors[i]
+        assert ("rotation and position held" in words) == held.pose, words
+        assert ("focal length held" in words) == held.focal, words
+        assert ("principal point held" in words) == held.principal_point, words
+    assert last.expected_error_px == pytest.approx(np.mean(moved))
     assert not any("±0 %" in words or "±0°" in words for words in last.undetermined)
 
 
