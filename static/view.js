@@ -20,8 +20,9 @@
       if (performance.now() - began > 350) send();
     }, 80);
   };
-  for (const name of ["pointerup", "pointercancel", "blur"])
+  for (const name of ["pointerup", "pointercancel"])
     window.addEventListener(name, release, true);
+  window.addEventListener("blur", release); // The window's, not that of a button.
 
   // Inspect: the camera stays, the wheel zooms by the field of view and a drag takes
   // the picture along; both only turn the view about the camera's centre.
