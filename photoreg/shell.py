@@ -25,8 +25,13 @@ from photoreg.isosurface import surface_net
 
 TURNS = 9
 """Whorls followed up from the aperture; the next one would be under 2 % of the last."""
-GRIDS = 12
-"""Grids tried: where two sheets meet in one cell of one grid, another parts them."""
+GRIDS = 60
+"""Grids tried: where two sheets meet in one cell of one grid, another parts them. Of
+the forms of seeds 0 to 29 one wants 17 grids, the others 7 at most."""
+CELL_SIZES = 12
+"""Grids of so many cell sizes are tried before they are moved."""
+GRID_SHIFT = np.array([0.38, 0.62, 0.24])
+"""How far they are then moved each time, in cells."""
 OUTSIDE, INSIDE, RIM = 0, 1, 2
 """Layers of the surface."""
 
@@ -93,8 +98,12 @@ def shell_surface(
     cell = 0.045 * np.sqrt(20_480 / max(n_faces, 20_480))
     low, high = np.array([-side, -side, bottom]), np.array([side, side, 0.2])
     for attempt in range(GRIDS):
+        moves, size = divmod(attempt, CELL_SIZES)
         net = surface_net(
-            lambda points: shell_field(points, form), low, high, cell * 0.98**attempt
+            lambda points: shell_field(points, form),
+            low - moves * cell * 0.98**size * GRID_SHIFT,
+            high,
+            cell * 0.98**size,
         )
         vertices, faces = _reduced(*_largest_piece(*net), n_faces)
         if _edges_join_two_faces(faces):

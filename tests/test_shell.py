@@ -53,6 +53,20 @@ def test_the_shell_is_closed_and_turned_outward(shell):
     assert len(shell.faces) == pytest.approx(4_000, abs=10)
 
 
+def test_a_shell_whose_sheets_meet_in_many_grids_is_closed_too():
+    # The form of seed 3, which the first 16 grids pinch.
+    form = ShellForm(
+        growth=1.6682684922742057,
+        drop=3.095510091488854,
+        below=1.5247647376978832,
+        ribs=15.0,
+        rib_height=0.05854015288375166,
+        cord_height=0.008617899009288853,
+        flare=0.1518901986393951,
+    )
+    assert_closed_and_outward(Mesh(*shell_surface(form, 20_480)))
+
+
 def test_the_shell_lies_on_its_field_and_its_normals_point_up_the_field(shell):
     off = np.abs(shell_field(shell.vertices, ShellForm()))
     # In units of the aperture's half width; the reduction moves vertices at edges.
