@@ -21,7 +21,15 @@ import rich.console
 import rich.table
 import tyro
 
-from tests.bench import accuracy, calibration, kernel, optimisers, resection, speed
+from tests.bench import (
+    accuracy,
+    calibration,
+    kernel,
+    optimisers,
+    page,
+    resection,
+    speed,
+)
 from tests.bench.metrics import (
     BENCHES,
     Metric,
@@ -30,7 +38,15 @@ from tests.bench.metrics import (
     save_baseline,
 )
 
-__all__ = ["accuracy", "calibration", "kernel", "optimisers", "resection", "speed"]
+__all__ = [
+    "accuracy",
+    "calibration",
+    "kernel",
+    "optimisers",
+    "page",
+    "resection",
+    "speed",
+]
 
 
 def main(

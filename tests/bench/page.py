@@ -1,0 +1,113 @@
+"""How quickly the page answers: a camera's move, on its way to everybody, and the cost."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+from playwright.sync_api import Browser, sync_playwright
+
+from app.conductor import Conductor
+from app.keys import BY_NAME, Stepper
+from app.opening import demo_folder, open_folder
+from app.server import Page
+from app.session import Session
+from app.state import State
+from tests.bench.metrics import Metric, Setting, bench, spread
+from tests.browser.driver import Driver, launch, wait_until
+
+N_MOVES = 20
+_WATCH = """() => {
+  const node = () => __viserMutable.nodeRefFromName['/cameras/0'];
+  const place = () => node().position.toArray().join();
+  window.bench = {last: place(), at: 0};
+  setInterval(() => {
+    const now = place();
+    if (now !== bench.last) { bench.last = now; bench.at ||= Date.now(); }
+  }, 3);
+}"""
+
+
+@bench
+def page(setting: Setting) -> Iterator[Metric]:
+    """Latency in milliseconds, with the demo in two windows of software WebGL."""
+    del setting
+    session = Session(State(document=open_folder(demo_folder())))
+    conductor = Conductor(session)
+    served = Page(session, conductor, port=0, shadows=False)
+    try:
+        wait_until(lambda: not session.state.worker, "the engine is warm", 300)
+        wait_until(lambda: session.state.agreement is not None, "a first measurement")
+        yield from _readout(session)
+        with sync_playwright() as playwright:
+            browser = launch(playwright)
+            yield from _moves(session, browser, f"http://127.0.0.1:{served.port}")
+            browser.close()
+    finally:
+        served.close()
+        conductor.close()
+
+
+class _Stamp:
+    """The time of the first change of the state that ``happened`` accepts."""
+
+    def __init__(
+        self, session: Session, happened: Callable[[State, State], bool]
+    ) -> None:
+        self._event, self.at = threading.Event(), 0.0
+
+        def listen(old: State, new: State) -> None:
+            if not self._event.is_set() and happened(old, new):
+                self.at = time.time()
+                self._event.set()
+
+        self._leave = session.listen(listen)
+
+    def wait(self) -> float:
+        """Waits for it; seconds since the epoch."""
+        assert self._event.wait(30.0), "Waited 30 s in vain."
+        self._leave()
+        return self.at
+
+
+def _readout(session: Session) -> Iterator[Metric]:
+    """From a camera's change to the new number in the state."""
+    stepper, taken = Stepper(session), []
+    for i in range(N_MOVES):
+        stamp = _Stamp(session, lambda old, new: new.agreement != old.agreement)
+        began = time.time()
+        stepper.take(BY_NAME["left" if i % 2 else "right"], 3.0)
+        taken.append(1e3 * (stamp.wait() - began))
+        # At the pace of a drag: the overlay is still being drawn when the next comes.
+        time.sleep(0.05)
+    yield from spread("page.readout", taken, "ms", 100.0, tolerance=1.0)
+
+
+def _moves(session: Session, browser: Browser, address: str) -> Iterator[Metric]:
+    """From the wheel in one window to the state, and to the frustum in the other."""
+    windows = [
+        Driver(browser.new_page(viewport={"width": 1100, "height": 700}), address)
+        for _ in range(2)
+    ]
+    for window in windows:
+        window.dismiss_toasts()
+        window.tab("2 Align")
+    one, other = windows
+    one.choose("View", "Move")
+    one.frames(20)
+    other.page.evaluate(_WATCH)
+    box = one.canvas()
+    one.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    to_state, to_other = [], []
+    for i in range(N_MOVES):
+        one.frames(4)
+        other.frames(4)
+        other.page.evaluate("() => { bench.at = 0; }")
+        stamp = _Stamp(session, lambda old, new: new.document is not old.document)
+        began = time.time()
+        one.page.mouse.wheel(0, 100 if i % 2 else -100)
+        to_state.append(1e3 * (stamp.wait() - began))
+        seen = other.page.wait_for_function("() => bench.at").json_value()
+        to_other.append(float(seen) - 1e3 * began)
+    note = "software WebGL, mostly the frames of the browsers"
+    yield from spread("page.to_state", to_state, "ms", None, tolerance=1.0, note=note)
+    yield from spread("page.to_other", to_other, "ms", None, tolerance=1.0, note=note)
