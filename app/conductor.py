@@ -41,6 +41,7 @@ from app.messages import (
 )
 from app.opening import demo_folder, open_folder, with_camera_file
 from app.run import Run, Status
+from app.run_report import report_html
 from app.session import Session
 from app.solver import Solver
 from app.state import Document, Job, State, Texture, same_camera
@@ -197,6 +198,25 @@ class Conductor:
         """Goes back to the cameras from before the refinement."""
         self.session.change(None, rules.reverted)
 
+    def report(self) -> tuple[str, bytes]:
+        """The run on screen as a file of HTML: its name and its content.
+
+        Raises:
+            RefinementError: if no run is on screen, or its pictures are not there yet.
+        """
+        state, comparison = self.session.state, self.comparison
+        if state.run.status != "review":
+            raise RefinementError(
+                "A report tells of a run that has ended. Choose one in the list of runs."
+            )
+        if comparison is None:
+            raise RefinementError(
+                "The pictures for the report are still being drawn. Try again in a "
+                "moment."
+            )
+        text = report_html(state, comparison)
+        return f"photoreg-run-{state.run.number}.html", text.encode()
+
     def bake(self) -> None:
         """Makes the textured model of the document's cameras."""
         with self._lock:
@@ -348,7 +368,7 @@ class Conductor:
         wanted, before = _comparison(new), _comparison(old)
         if wanted is None or (
             before is not None
-            and wanted.style == before.style
+            and (wanted.style, wanted.surface) == (before.style, before.surface)
             and all(map(same_camera, wanted.before, before.before))
             and all(map(same_camera, wanted.after, before.after))
         ):
@@ -451,7 +471,7 @@ def _comparison(state: State) -> Compare | None:
     if len(used) < 2:
         return None
     before = tuple(other.get(entry.name, entry.camera) for entry in used)
-    return Compare(before, _shown_cameras(state), state.overlay_style)
+    return Compare(before, _shown_cameras(state), state.overlay_style, state.surface)
 
 
 def _shown_cameras(state: State) -> tuple[Camera, ...]:

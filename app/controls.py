@@ -157,10 +157,3 @@ def confirm(
     @guarded
     def _(_: viser.GuiEvent) -> None:
         modal.close()
-
-
-def number(text: float, digits: int = 3) -> str:
-    """A number with so many significant digits, without an exponent where possible."""
-    if text == 0 or not 1e-4 <= abs(text) < 1e7:
-        return f"{text:.{digits - 1}e}"
-    return f"{text:.{digits}g}" if abs(text) < 10 ** (digits - 1) else f"{text:,.0f}"

@@ -20,6 +20,7 @@ from app.messages import (
     Picture,
     SurfaceDrawn,
 )
+from app.state import Surface
 from photoreg.camera import Camera
 from photoreg.errors import PhotoregError
 from photoreg.evaluate import projection_error
@@ -113,11 +114,11 @@ class Drawing:
             self._start_cameras = start  # Ids of living objects do not repeat.
         return self._start[1]
 
-    def surface(self, cameras: tuple[Camera, ...], view: OverlayView) -> SurfaceDrawn:
-        """The object with what the view wants on it."""
+    def surface(self, cameras: tuple[Camera, ...], surface: Surface) -> SurfaceDrawn:
+        """The object with photos or heat map laid on."""
         if self._surface is None:
             self._surface = LiveSurface(self._overlay.mesh, self._photos)
-        return SurfaceDrawn(self._surface.glb(cameras, view.surface))
+        return SurfaceDrawn(self._surface.glb(cameras, surface))
 
     def comparison(self, job: Compare) -> Compared:
         """Two sets of cameras beside each other, in every photo."""
@@ -177,7 +178,7 @@ class Painter:
             is_due = time.monotonic() - self._surface_at >= SURFACE_PERIOD_S
             if start is not None and view.surface != "clay" and is_due:
                 self._surface_at = time.monotonic()
-                yield drawing.surface(cameras, view)
+                yield drawing.surface(cameras, view.surface)
 
         with self._changed:
             self._newest = draw

@@ -85,6 +85,8 @@ class Compare:
     before: tuple[Camera, ...]
     after: tuple[Camera, ...]
     style: OverlayStyle
+    surface: Surface
+    """What the object is to show with the cameras after."""
 
 
 @dataclasses.dataclass(frozen=True)

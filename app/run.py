@@ -11,6 +11,14 @@ from photoreg.presets import PresetName, RegistrationConfig
 
 Status = Literal["idle", "starting", "running", "paused", "stopping", "review"]
 
+PRESET_NAMES: dict[PresetName, str] = {
+    "fast": "Quick",
+    "default": "Standard",
+    "thorough": "Thorough",
+    "paper": "As in the paper",
+}
+"""What the presets are called on the page, the quickest first."""
+
 Mark = Literal["", "restart", "level"]
 
 
@@ -83,6 +91,19 @@ class Run:
     def is_active(self) -> bool:
         """Whether the worker is at it, or waits in the middle of it."""
         return self.status in ("starting", "running", "paused", "stopping")
+
+    @property
+    def is_changed(self) -> bool:
+        """Whether its settings are not quite the preset's; the seed does not count."""
+        if self.config is None:
+            return False
+        return self.config != RegistrationConfig.preset(self.preset, self.config.seed)
+
+    @property
+    def settings_name(self) -> str:
+        """What it was told, in a word or two."""
+        name = PRESET_NAMES[self.preset]
+        return f"{name}, changed" if self.is_changed else name
 
     @property
     def expected_error_px(self) -> float | None:

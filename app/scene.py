@@ -47,6 +47,11 @@ class Scene:
         self._ghosts: list[viser.LineSegmentsHandle] = []
         self._texture: object = None
         self._textured: viser.GlbHandle | None = None
+        self._run_is_shown = False
+        self._surfaces: list[viser.GlbHandle] = []
+        self._surface_glb: bytes | None = None
+        self._surface_count = 0
+        self._ghosts_of: tuple[Camera, ...] = ()
         self._clay: viser.MeshHandle | None = None
         self._clear: viser.MeshHandle | None = None
         scene = server.scene
@@ -221,6 +226,26 @@ class Scene:
         if self._lines is not None:
             put(self._lines, "visible", wanted)
 
+    def show_surface(self, glb: bytes | None) -> None:
+        """Shows the surface of a run; the node before stays until the next one comes.
+
+        A browser needs a moment to read a model: taken away at once, the old one would
+        leave a gap.
+        """
+        if not self._run_is_shown or glb is None:
+            for node in self._surfaces:
+                node.remove()
+            self._surfaces, self._surface_glb = [], None
+            return
+        if glb is self._surface_glb:
+            return
+        self._surface_glb = glb
+        while len(self._surfaces) > 1:
+            self._surfaces.pop(0).remove()
+        self._surface_count += 1
+        name = f"/solid/run-{self._surface_count % 3}"
+        self._surfaces.append(self._server.scene.add_glb(name, glb))
+
     def _show_texture(self, state: State) -> None:
         if state.texture is not self._texture:
             self._texture = state.texture
@@ -234,8 +259,12 @@ class Scene:
         textured = self._textured is not None and state.show_texture
         if self._textured is not None:
             put(self._textured, "visible", textured)
+        self._run_is_shown = state.run.status != "idle" and state.surface != "clay"
+        covered = textured or (self._run_is_shown and bool(self._surfaces))
+        if self._textured is not None and self._run_is_shown:
+            put(self._textured, "visible", False)
         if self._clay is not None:
-            put(self._clay, "visible", not textured)
+            put(self._clay, "visible", not covered)
 
     def _show_frusta(self, state: State) -> None:
         photos = state.photos
@@ -250,8 +279,9 @@ class Scene:
 
     def _show_ghosts(self, cameras: tuple[Camera, ...]) -> None:
         """Thin outlines where the cameras were when the refinement started."""
-        if len(cameras) == len(self._ghosts):
+        if cameras is self._ghosts_of:
             return
+        self._ghosts_of = cameras
         for ghost in self._ghosts:
             ghost.remove()
         self._ghosts = []

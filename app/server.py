@@ -33,8 +33,9 @@ from app.meter import meter_html
 from app.panel_align import AlignPanel
 from app.panel_data import DataPanel
 from app.panel_export import ExportPanel
+from app.panel_overlay import OverlayPanel
 from app.panel_points import PointsPanel
-from app.panel_refine import OverlayPanel, RefinePanel
+from app.panel_refine import RefinePanel
 from app.panel_view import ViewPanel
 from app.pictures import ROOT, Pictures
 from app.scene import Scene
@@ -221,6 +222,7 @@ class Page:
                 self.server.scene.set_background_image(backdrop(state.dark))
             drawn = self.conductor.drawn
             self.scene.show(state, None if drawn is None else drawn.lines)
+            self.scene.show_surface(self.conductor.surface_glb)
             put(self._status, "content", status_line(state))
             put(self._meter, "content", meter_html(state))
             self._travel.show(travel_tools(state))

@@ -106,17 +106,6 @@ def seconds_left(
     return remaining / rate + polish_seconds(speed, config)
 
 
-def in_words(seconds: float) -> str:
-    """A duration as a person would say it."""
-    if seconds < 1.0:
-        return "under 1 s"
-    if seconds < 90.0:
-        return f"{seconds:.0f} s"
-    if seconds < 5400.0:
-        return f"{seconds / 60.0:.0f} min"
-    return f"{seconds / 3600.0:.1f} h"
-
-
 def measure_speed(
     mesh: Mesh,
     photos: Sequence[Photo],

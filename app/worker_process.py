@@ -188,7 +188,10 @@ class WorkerProcess:
 
     def _compare(self, job: Compare) -> None:
         self._painter.finish()
-        self._send(self._its_drawing().comparison(job))
+        drawing = self._its_drawing()
+        self._send(drawing.comparison(job))
+        if job.surface != "clay":
+            self._send(drawing.surface(job.after, job.surface))
 
     def _use_spare_time(self) -> None:
         """While nothing is asked for: what tells the user what a run would bring."""
