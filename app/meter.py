@@ -1,7 +1,7 @@
 """The line that is always on screen: how well the photos agree, in a number and words."""
 
-from app.controls import number
 from app.state import Agreement, State
+from app.words import number
 
 CLOSE, ROUGH = 0.9, 0.25
 """Shares of agreement. Of the demo 20 px off it is 0.6, 5 px off 0.97, 37 px off 0.1."""
