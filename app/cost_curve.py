@@ -18,7 +18,6 @@ class CostCurve:
         self._cost: float | None = None
         self._level = 1.0
         self._step = -1
-        self._stage: tuple[str, int] | None = None
 
     def points(self, event: Progress) -> list[CurvePoint]:
         """The event's point; none before there is a cost."""
@@ -29,14 +28,15 @@ class CostCurve:
             self._level *= min(1.0, best / self._cost)
         self._cost = best
         self._step += 1
+        low, high = event.quartile_costs or (None, None)
         return [
             CurvePoint(
                 self._step,
                 self._level,
                 self._share(event.median_cost),
-                None,
-                None,
-                self._mark(event),
+                None if low is None else self._share(low),
+                None if high is None else self._share(high),
+                _mark(event, is_first=self._step == 0),
             )
         ]
 
@@ -47,16 +47,9 @@ class CostCurve:
             return self._level
         return self._level * cost / self._cost
 
-    def _mark(self, event: Progress) -> Mark:
-        """Whether a restart of the search or a level of the polish begins here."""
-        stage = (event.phase, _level(event) if event.phase == "polish" else 0)
-        before, self._stage = self._stage, stage
-        if before is None or before == stage:
-            return ""
-        return "level" if event.phase == "polish" else "restart"
 
-
-def _level(event: Progress) -> int:
-    """Which level of the polish; told by its words."""
-    digits = [word for word in event.step.replace(",", " ").split() if word.isdigit()]
-    return int(digits[0]) if digits else 0
+def _mark(event: Progress, *, is_first: bool) -> Mark:
+    """Whether a restart of the search or a level of the polish begins here."""
+    if event.begins is None or is_first:
+        return ""
+    return "level" if event.phase == "polish" else "restart"

@@ -1,5 +1,6 @@
 """One refinement in the worker process: run it, tell of it, pause it, stop it."""
 
+import dataclasses
 import time
 from collections.abc import Callable, Iterator
 
@@ -21,7 +22,7 @@ from app.messages import (
 from photoreg.camera import Camera
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
-from photoreg.registration import Finished, refine
+from photoreg.registration import Finished, Progress, refine
 
 PICTURE_PERIOD_S = 0.18
 """Time between overlay pictures during a refinement: five and a half a second."""
@@ -72,7 +73,7 @@ class Refining:
             now = time.monotonic()
             curve.extend(costs.points(event))
             if now - sent_at >= LIVE_PERIOD_S:
-                self._send(Live(event, tuple(curve), self._paused_s))
+                self._send(Live(_light(event), tuple(curve), self._paused_s))
                 sent_at = now
                 curve.clear()
             if now - judged_at >= JUDGE_PERIOD_S:
@@ -81,7 +82,7 @@ class Refining:
             if self._must_stop(messages):
                 break
         if last is not None:
-            self._send(Live(last, tuple(curve), self._paused_s))
+            self._send(Live(_light(last), tuple(curve), self._paused_s))
         self._measure(self._best)
         self._painter.finish()
         self._send(
@@ -114,3 +115,8 @@ class Refining:
                         self._paused_s += time.monotonic() - began
             if not is_paused:
                 return False
+
+
+def _light(event: Progress) -> Progress:
+    """The event without the population: 55 KB that the page has no use for."""
+    return dataclasses.replace(event, population=None, checkpoint=None)

@@ -77,7 +77,7 @@ def level_colours(levels: np.ndarray) -> UInt8[np.ndarray, "... 3"]:
     share = np.clip(levels / TOP_LEVELS, 0.0, 1.0)
     index = np.rint(255.0 * share).astype(np.uint8)
     table = cv2.applyColorMap(np.arange(256, dtype=np.uint8), cv2.COLORMAP_INFERNO)
-    return np.ascontiguousarray(table[:, 0, ::-1])[index]
+    return np.ascontiguousarray(table.reshape(256, 3)[:, ::-1])[index]
 
 
 class SurfaceSight:
