@@ -19,6 +19,10 @@ MIN_SIZE, MAX_SIZE = 64, 8192
 EDGE_JUMP_PX = 5.0
 """A step in depth of less than so many pixels hides nothing that a photo registered
 to a pixel would show otherwise; rough surfaces are full of such steps."""
+RAY_TOLERANCE = 1e-4
+"""How far behind what hides it a texel may lie, relative to the mesh's diagonal."""
+TEXELS_AT_A_TIME = 2_000_000
+"""Bounds the memory."""
 EXPOSURE_SIDE_PX = 1024
 EXPOSURE_TEXELS = 200_000
 MIN_JOINT_TEXELS = 300
@@ -232,7 +236,7 @@ def add_photo(
     normals: tuple[np.ndarray, np.ndarray],
     photo: PreparedPhoto,
     gain: np.ndarray,
-    index: int,
+    number: int,
     table: TexelTable,
     config: TextureConfig,
     sums: TexelSums,
@@ -244,7 +248,7 @@ def add_photo(
         normals: Of vertices and faces, by `outward_normals`.
         photo: By `prepare_photo`.
         gain: (3,) by which its channels are multiplied.
-        index: The photo's number.
+        number: The photo's, from 0.
         table: The texels.
         config: Settings.
         sums: Changed.
@@ -252,33 +256,51 @@ def add_photo(
     camera = photo.camera
     height, width = photo.depth.shape
     low_scale = np.array([photo.low.shape[1] / width, photo.low.shape[0] / height])
-    texels.add_photo(
-        table.index,
-        table.face,
-        table.width,
-        table.corners_px,
-        mesh.vertices,
-        mesh.faces,
-        *normals,
-        camera.P,
-        np.linalg.inv(camera.K).T @ camera.R_cam_world,
-        camera.center,
-        camera.focal_px,
-        photo.depth,
-        photo.clearance,
-        photo.pixels,
-        photo.low,
-        low_scale,
-        gain,
-        table.per_unit,
-        float(np.cos(np.deg2rad(config.max_angle_deg))),
-        config.mode == "best",
-        index,
-        sums.colours,
-        sums.weight,
-        sums.photo,
-        sums.quality,
-    )
+    inverse_K = np.linalg.inv(camera.K).T
+    # In parts: what is known of a part's texels need not be kept for all.
+    for start in range(0, len(table.index), TEXELS_AT_A_TIME):
+        part = slice(start, start + TEXELS_AT_A_TIME)
+        geometry = table.width, table.corners_px, mesh.vertices, mesh.faces
+        index, face = table.index[part], table.face[part]
+        weights, quality = texels.weigh(
+            index,
+            face,
+            *geometry,
+            *normals,
+            camera.P,
+            inverse_K @ camera.R_cam_world,
+            camera.center,
+            camera.focal_px,
+            photo.depth,
+            photo.clearance,
+            table.per_unit,
+            float(np.cos(np.deg2rad(config.max_angle_deg))),
+        )
+        seen = np.flatnonzero(weights > 0.0)
+        if len(seen) == 0:
+            continue
+        points = texels.points_at(index[seen], face[seen], *geometry)
+        # Depth at the nearest pixel let a few through whose occluder is narrower than
+        # a pixel: on scans up to 4 of 1,000.
+        free = mesh.is_unoccluded(points, camera.center, RAY_TOLERANCE)
+        seen, points = seen[free], points[free]
+        texels.add_photo(
+            start + seen,
+            points,
+            weights[seen],
+            quality[seen],
+            camera.P,
+            photo.pixels,
+            photo.low,
+            low_scale,
+            gain,
+            config.mode == "best",
+            number,
+            sums.colours,
+            sums.weight,
+            sums.photo,
+            sums.quality,
+        )
 
 
 def exposure_gains(

@@ -30,6 +30,28 @@ def _barycentric(corners, x, y):  # noqa: ANN001, ANN202
 
 
 @nb.njit(nogil=True, cache=True, inline="always")
+def _surface_point(vertices, corners, a, b, c):  # noqa: ANN001, ANN202
+    """The point with barycentrics a, b, c of a face with these vertex indices."""
+    i, j, k = corners[0], corners[1], corners[2]
+    return (
+        a * vertices[i, 0] + b * vertices[j, 0] + c * vertices[k, 0],
+        a * vertices[i, 1] + b * vertices[j, 1] + c * vertices[k, 1],
+        a * vertices[i, 2] + b * vertices[j, 2] + c * vertices[k, 2],
+    )
+
+
+@nb.njit(nogil=True, cache=True, inline="always")
+def _projected(P, x, y, z):  # noqa: ANN001, ANN202
+    """Pixel and depth of a point; NaN pixels behind the camera."""
+    depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
+    if not depth > 0.0:
+        return np.nan, np.nan, depth
+    u = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) / depth
+    v = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) / depth
+    return u, v, depth
+
+
+@nb.njit(nogil=True, cache=True, inline="always")
 def _bilinear(image, ix, iy, fx, fy, channel):  # noqa: ANN001, ANN202
     upper = (1.0 - fx) * image[iy, ix, channel] + fx * image[iy, ix + 1, channel]
     lower = (1.0 - fx) * image[iy + 1, ix, channel] + (
@@ -89,7 +111,26 @@ def photo_edges(depth, face_index, face_normals, N, focal_px, tolerance_px):  # 
 
 
 @nb.njit(nogil=True, cache=True, parallel=True)
-def add_photo(  # noqa: ANN201
+def points_at(  # noqa: ANN201
+    texel,  # noqa: ANN001
+    texel_face,  # noqa: ANN001
+    width,  # noqa: ANN001
+    corners_px,  # noqa: ANN001
+    vertices,  # noqa: ANN001
+    faces,  # noqa: ANN001
+):
+    """Surface point (n, 3) of each texel."""
+    points = np.zeros((len(texel), 3))
+    for t in nb.prange(len(texel)):
+        corners = corners_px[texel_face[t]]
+        a, b, c = _barycentric(corners, texel[t] % width, texel[t] // width)
+        x, y, z = _surface_point(vertices, faces[texel_face[t]], a, b, c)
+        points[t, 0], points[t, 1], points[t, 2] = x, y, z
+    return points
+
+
+@nb.njit(nogil=True, cache=True, parallel=True)
+def weigh(  # noqa: ANN201
     texel,  # noqa: ANN001
     texel_face,  # noqa: ANN001
     width,  # noqa: ANN001
@@ -104,25 +145,13 @@ def add_photo(  # noqa: ANN201
     focal_px,  # noqa: ANN001
     depth,  # noqa: ANN001
     clearance,  # noqa: ANN001
-    pixels,  # noqa: ANN001
-    low,  # noqa: ANN001
-    low_scale,  # noqa: ANN001
-    gain,  # noqa: ANN001
     texels_per_unit,  # noqa: ANN001
     min_cosine,  # noqa: ANN001
-    best_only,  # noqa: ANN001
-    photo,  # noqa: ANN001
-    sums,  # noqa: ANN001
-    best_weight,  # noqa: ANN001
-    best_photo,  # noqa: ANN001
-    quality,  # noqa: ANN001
 ):
-    """Adds what one photo sees to each texel's sums.
+    """How much a photo counts at each texel, (n,) float32, and how well it sees it.
 
-    The photo is split in two bands: the low one is blended by weights that fall off
-    slowly, so that photos of different light pass into each other; the high one
-    comes nearly from the best view alone, so that small errors of registration do not
-    double every detail.
+    Zero where it does not: outside the photo, near an edge, seen flat or from behind,
+    or hidden as far as the depth at the nearest pixel tells; rays tell the rest.
 
     Args:
         texel: (n,) flat index of each texel in the atlas.
@@ -139,37 +168,26 @@ def add_photo(  # noqa: ANN201
         focal_px: Mean focal length.
         depth: (h, w) of the nearest surface.
         clearance: (h, w) uint8; 0 too near to an edge or border, 255 far from any.
-        pixels: (h, w, 3) uint8.
-        low: (hl, wl, 3) float32, the blurred photo on a coarse grid.
-        low_scale: (2,) size of the coarse grid by that of the photo, x and y.
-        gain: (3,) by which the photo's channels are multiplied.
         texels_per_unit: Resolution of the atlas.
         min_cosine: Of the angle between normal and view; flatter is not painted.
-        best_only: Take the best photo's colour alone.
-        photo: Index of the photo.
-        sums: (n, 8) float32: weight, low x 3, sharp weight, high x 3; changed.
-        best_weight: (n,) float32; changed.
-        best_photo: (n,) int16; changed.
-        quality: (n,) float32 in [0, 1]: cosine times photo pixels a texel; changed.
+
+    Returns:
+        The weights, and the quality in [0, 1]: cosine times photo pixels a texel.
     """
     height_px, width_px = depth.shape
-    height_low, width_low = low.shape[0], low.shape[1]
+    weights = np.zeros(len(texel), dtype=np.float32)
+    quality = np.zeros(len(texel), dtype=np.float32)
     for t in nb.prange(len(texel)):
         face = texel_face[t]
         x, y = texel[t] % width, texel[t] // width
         a, b, c = _barycentric(corners_px[face], x, y)
         i, j, k = faces[face, 0], faces[face, 1], faces[face, 2]
-        px = a * vertices[i, 0] + b * vertices[j, 0] + c * vertices[k, 0]
-        py = a * vertices[i, 1] + b * vertices[j, 1] + c * vertices[k, 1]
-        pz = a * vertices[i, 2] + b * vertices[j, 2] + c * vertices[k, 2]
-        z = P[2, 0] * px + P[2, 1] * py + P[2, 2] * pz + P[2, 3]
-        if not z > 0.0:
-            continue
-        u = (P[0, 0] * px + P[0, 1] * py + P[0, 2] * pz + P[0, 3]) / z
-        v = (P[1, 0] * px + P[1, 1] * py + P[1, 2] * pz + P[1, 3]) / z
+        px, py, pz = _surface_point(vertices, faces[face], a, b, c)
+        u, v, z = _projected(P, px, py, pz)
         if not (0.0 <= u <= width_px - 1 and 0.0 <= v <= height_px - 1):
             continue
-        clear = clearance[int(v + 0.5), int(u + 0.5)]
+        ix, iy = int(u + 0.5), int(v + 0.5)
+        clear = clearance[iy, ix]
         if clear == 0:
             continue
         sx, sy, sz = center[0] - px, center[1] - py, center[2] - pz
@@ -194,7 +212,6 @@ def add_photo(  # noqa: ANN201
 
         # The nearest pixel must show the plane of the texel's own face. Its depth
         # there is exact, however steep the face; the tolerance is for curvature.
-        ix, iy = int(u + 0.5), int(v + 0.5)
         inverse = N[0, 0] * nx + N[0, 1] * ny + N[0, 2] * nz
         inverse = inverse * ix + (N[1, 0] * nx + N[1, 1] * ny + N[1, 2] * nz) * iy
         inverse += N[2, 0] * nx + N[2, 1] * ny + N[2, 2] * nz
@@ -206,11 +223,62 @@ def add_photo(  # noqa: ANN201
 
         resolution = focal_px / (z * texels_per_unit)
         weight = (cosine - min_cosine) / (1.0 - min_cosine) * (clear / 255.0)
-        weight = np.float32(weight * min(resolution * resolution, 1e3))
+        weights[t] = weight * min(resolution * resolution, 1e3)
+        quality[t] = min(1.0, resolution) * cosine
+    return weights, quality
+
+
+@nb.njit(nogil=True, cache=True, parallel=True)
+def add_photo(  # noqa: ANN201
+    row,  # noqa: ANN001
+    points,  # noqa: ANN001
+    weights,  # noqa: ANN001
+    qualities,  # noqa: ANN001
+    P,  # noqa: ANN001
+    pixels,  # noqa: ANN001
+    low,  # noqa: ANN001
+    low_scale,  # noqa: ANN001
+    gain,  # noqa: ANN001
+    best_only,  # noqa: ANN001
+    photo,  # noqa: ANN001
+    sums,  # noqa: ANN001
+    best_weight,  # noqa: ANN001
+    best_photo,  # noqa: ANN001
+    quality,  # noqa: ANN001
+):
+    """Adds what one photo sees to the sums of the texels that it sees.
+
+    The photo is split in two bands: the low one is blended by weights that fall off
+    slowly, so that photos of different light pass into each other; the high one
+    comes nearly from the best view alone, so that small errors of registration do not
+    double every detail.
+
+    Args:
+        row: (s,) rows, in the arrays below, of the texels that the photo sees.
+        points: (s, 3) their surface points, inside the photo.
+        weights: (s,) float32, how much the photo counts there.
+        qualities: (s,) float32, how well it sees them.
+        P: (3, 4) projection matrix.
+        pixels: (h, w, 3) uint8.
+        low: (hl, wl, 3) float32, the blurred photo on a coarse grid.
+        low_scale: (2,) size of the coarse grid by that of the photo, x and y.
+        gain: (3,) by which the photo's channels are multiplied.
+        best_only: Take the best photo's colour alone.
+        photo: Index of the photo.
+        sums: (n, 8) float32: weight, low x 3, sharp weight, high x 3; changed.
+        best_weight: (n,) float32; changed.
+        best_photo: (n,) int16; changed.
+        quality: (n,) float32; changed.
+    """
+    height_px, width_px = pixels.shape[0], pixels.shape[1]
+    height_low, width_low = low.shape[0], low.shape[1]
+    for s in nb.prange(len(row)):
+        t, weight = row[s], weights[s]
+        u, v, _ = _projected(P, points[s, 0], points[s, 1], points[s, 2])
         if weight > best_weight[t]:
             best_weight[t] = weight
             best_photo[t] = photo
-            quality[t] = min(1.0, resolution) * cosine
+            quality[t] = qualities[s]
             if best_only:
                 sums[t, :] = 0.0
         elif best_only:
