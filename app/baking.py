@@ -12,7 +12,7 @@ from app.messages import Baked, Working
 from app.placement import DisplayFrame
 from photoreg.atlas import Atlas, make_atlas
 from photoreg.camera import Camera
-from photoreg.formats.obj import textured_obj_zip
+from photoreg.formats.textured import textured_download
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.texture import TexturedMesh, bake_texture
@@ -41,7 +41,9 @@ class Baker:
         yield Working("Painting the photos onto it", 0.4)
         textured = bake_texture(mesh, photos, cameras, atlas=self._atlas)
         yield Working("Packing the files", 0.8)
-        archive = textured_obj_zip(textured, Path(mesh.name).stem or "model")
+        archive = textured_download(f"{Path(mesh.name).stem or 'model'}.obj", textured)[
+            1
+        ]
         height, width = textured.texture.shape[:2]
         summary = (
             f"Texture of {width} × {height} px; the photos cover "

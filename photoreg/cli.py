@@ -28,7 +28,9 @@ from photoreg.errors import InputError, OutputError, PhotoregError
 from photoreg.evaluate import projection_error
 from photoreg.formats.cameras import read_cameras
 from photoreg.formats.cameras_json import CameraFile, save_cameras
+from photoreg.formats.pictures import PictureKind, encode_picture
 from photoreg.formats.textured import TEXTURED_FORMATS, save_textured
+from photoreg.formats.writing import write_files
 from photoreg.mesh import Mesh, load_mesh
 from photoreg.photo import Photo, load_photo
 from photoreg.registration import (
@@ -42,7 +44,7 @@ from photoreg.registration import (
 from photoreg.reproduce import Reproduced, reproduce
 from photoreg.scene_options import SceneOptions
 from photoreg.synthetic import make_scene, write_scene
-from photoreg.texture import TextureConfig, bake_texture
+from photoreg.texture import BakingStep, TextureConfig, TexturedMesh, baking
 
 MeshPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MESH")]
 PhotoPaths = Annotated[
@@ -219,6 +221,8 @@ def texture_command(
     cameras: Path,
     out: Path,
     at_vertices: bool = False,
+    picture: PictureKind = "png",
+    coverage: Path | None = None,
     config: Annotated[TextureConfig, tyro.conf.arg(name="")] = TextureConfig(),
     json: bool = False,
 ) -> int:
@@ -231,18 +235,38 @@ def texture_command(
         out: Where the model goes: .glb, all in one file; .obj, with MTL and PNG beside
             it; .ply, with a PNG.
         at_vertices: For .ply: colours at the vertices instead of a texture.
+        picture: The texture as PNG, or as JPEG, which is several times smaller.
+        coverage: Also draw here (.png) which photo each texel is from, by hue, and how
+            well it is seen, by brightness.
         config: How the texture is made.
         json: Print the figures as JSON on standard output.
     """
     check_output_file(out, (".ply",) if at_vertices else tuple(TEXTURED_FORMATS))
+    if coverage is not None:
+        check_output_file(coverage, (".png",))
     surface, pictures, _, exact = _load_scene(mesh, photos, cameras, at_least=1)
     began = time.perf_counter()
-    textured = bake_texture(surface, pictures, exact, config)
-    written = save_textured(out, textured, at_vertices)
+    with _bar() as bar, _asked_to_stop() as stop:
+        task = bar.add_task("getting ready", total=1.0, cost="")
+        textured = None
+        for textured in baking(surface, pictures, exact, config):
+            if isinstance(textured, BakingStep):
+                bar.update(
+                    task, completed=textured.fraction, description=textured.title
+                )
+                if stop.is_set():
+                    _log.print("Stopped. Nothing was written.")
+                    return 1
+    assert isinstance(textured, TexturedMesh)
+    written = save_textured(out, textured, at_vertices, picture)
+    if coverage is not None:
+        shown = encode_picture(textured.coverage_picture())
+        written += write_files({coverage: shown})
     elapsed_s = time.perf_counter() - began
     height, width = textured.texture.shape[:2]
     _log.print(
-        f"{textured.seen_share:.0%} of the surface is seen by a photo. Texture "
+        f"{textured.seen_share:.0%} of the surface is seen by a photo "
+        f"({_shares(pictures, textured)}). Texture "
         f"{width}x{height}, {elapsed_s:.1f} s. "
         f"Written: {', '.join(str(path) for path in written)}."
     )
@@ -252,10 +276,22 @@ def texture_command(
                 "files": [str(path) for path in written],
                 "texture": [width, height],
                 "seen_share": textured.seen_share,
+                "seen_share_by_photo": dict(
+                    zip(
+                        (photo.name for photo in pictures),
+                        textured.seen_share_by_photo,
+                        strict=True,
+                    )
+                ),
                 "elapsed_s": elapsed_s,
             }
         )
     return 0
+
+
+def _shares(photos: Sequence[Photo], textured: TexturedMesh) -> str:
+    shares = zip(photos, textured.seen_share_by_photo, strict=True)
+    return ", ".join(f"{photo.name} {share:.0%}" for photo, share in shares)
 
 
 def synthesize_command(

@@ -13,7 +13,7 @@ import numpy as np
 import trimesh
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 
 from photoreg.checks import check_input_file, check_points
 from photoreg.errors import InputError
@@ -46,6 +46,12 @@ class Mesh:
     """File name, for messages."""
     source: SourceFile | None = None
     """The file it was read from; None if it was made in memory."""
+    own_texture: UInt8[np.ndarray, "h w 3"] | None = None
+    """The texture that ``corner_uv`` is for, sRGB, if the file had one."""
+    vertex_colours: UInt8[np.ndarray, "n 3"] | None = None
+    """Colours of the vertices, sRGB, if the file had them."""
+    own_normals: Float[np.ndarray, "n 3"] | None = None
+    """Unit normals of the vertices, if the file had them: kept in exported files."""
 
     def __post_init__(self) -> None:
         if len(self.vertices) == 0:
@@ -132,6 +138,11 @@ class Mesh:
             ]
         )
         return _unit_rows(sums)[self.position_index]
+
+    @property
+    def normals_to_keep(self) -> Float[np.ndarray, "n 3"]:
+        """The file's own normals, or else smooth ones."""
+        return self.vertex_normals if self.own_normals is None else self.own_normals
 
     @functools.cached_property
     def area(self) -> float:
@@ -253,11 +264,17 @@ def load_mesh(path: Path | str) -> Mesh:
         corner_uv = None
         if np.array_equal(split.vertices[split.faces], vertices[faces]):
             corner_uv = _corner_uv(split)
+    normals, colours = _vertex_normals(loaded), _vertex_colours(loaded)
     if path.suffix.lower() == ".stl":
         # An STL repeats each corner; the same position is the same vertex.
         vertices, index = np.unique(vertices, axis=0, return_inverse=True)
         faces = index.reshape(-1)[faces]
-    return Mesh(vertices, faces, corner_uv, path.name, source_file(path))
+        normals = colours = None
+    texture = None if corner_uv is None else _texture(loaded)
+    source = source_file(path)
+    return Mesh(
+        vertices, faces, corner_uv, path.name, source, texture, colours, normals
+    )
 
 
 def _read(path: Path, maintain_order: bool = True) -> trimesh.Trimesh:
@@ -286,6 +303,42 @@ def _corner_uv(loaded: trimesh.Trimesh) -> np.ndarray | None:
     if uv is None or np.shape(uv) != (len(loaded.vertices), 2):
         return None
     return np.asarray(uv, dtype=np.float64)[loaded.faces]
+
+
+def _texture(loaded: trimesh.Trimesh) -> np.ndarray | None:
+    """The picture of the material, whichever kind it is."""
+    material = getattr(loaded.visual, "material", None)
+    for name in ("image", "baseColorTexture"):
+        picture = getattr(material, name, None)
+        if picture is not None:
+            try:
+                return np.asarray(picture.convert("RGB"), dtype=np.uint8)
+            except OSError:  # Truncated: the mesh is of use without it.
+                return None
+    return None
+
+
+def _vertex_colours(loaded: trimesh.Trimesh) -> np.ndarray | None:
+    visual: Any = loaded.visual
+    if visual.kind != "vertex":
+        return None
+    colours = np.asarray(visual.vertex_colors, dtype=np.uint8)
+    return colours[:, :3].copy() if len(colours) == len(loaded.vertices) else None
+
+
+def _vertex_normals(loaded: trimesh.Trimesh) -> np.ndarray | None:
+    """The normals of the file; None where it has none, or some without a direction."""
+    normals = loaded._cache.cache.get("vertex_normals")
+    raw = loaded.metadata.get("_ply_raw", {}).get("vertex", {}).get("data")
+    names = getattr(getattr(raw, "dtype", None), "names", None) or ()
+    if normals is None and {"nx", "ny", "nz"} <= set(names):
+        normals = np.column_stack(
+            [np.ravel(raw[axis]) for axis in ("nx", "ny", "nz")]  # pyright: ignore[reportOptionalSubscript]
+        )
+    if normals is None or np.shape(normals) != loaded.vertices.shape:
+        return None
+    unit = _unit_rows(np.asarray(normals, dtype=np.float64))
+    return unit if (np.abs(np.linalg.norm(unit, axis=1) - 1.0) < 1e-6).all() else None
 
 
 def _unit_rows(rows: np.ndarray) -> np.ndarray:

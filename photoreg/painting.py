@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, get_args
 
 import cv2
 import numpy as np
@@ -29,6 +29,9 @@ MIN_JOINT_TEXELS = 300
 """Fewer texels seen by two photos say nothing about their exposure."""
 
 
+UnseenMode = Literal["diffuse", "colour", "own"]
+
+
 @dataclasses.dataclass(frozen=True)
 class TextureConfig:
     """Settings of texture baking."""
@@ -39,8 +42,9 @@ class TextureConfig:
     mode: Literal["blend", "best"] = "blend"
     """"blend": photos pass into each other, detail comes from the best view. "best":
     each texel from its best photo alone, with visible seams between photos."""
-    unseen: Literal["diffuse", "colour"] = "diffuse"
-    """What no photo sees: colours spread from the neighbours, or one colour."""
+    unseen: UnseenMode = "diffuse"
+    """What no photo sees: colours spread from the neighbours, one colour, or the mesh's
+    own colours (its texture, or else those of its vertices)."""
     unseen_colour: tuple[int, int, int] = (128, 128, 128)
     """The colour of what no photo sees, where it is to have one (or has no seen
     neighbour at all)."""
@@ -65,8 +69,11 @@ class TextureConfig:
             )
         if self.mode not in ("blend", "best"):
             raise InputError(f'mode is {self.mode!r}; give "blend" or "best".')
-        if self.unseen not in ("diffuse", "colour"):
-            raise InputError(f'unseen is {self.unseen!r}; give "diffuse" or "colour".')
+        if self.unseen not in get_args(UnseenMode):
+            raise InputError(
+                f"unseen is {self.unseen!r}; give one of "
+                f"{', '.join(get_args(UnseenMode))}."
+            )
         if len(self.unseen_colour) != 3 or not all(
             0 <= value <= 255 for value in self.unseen_colour
         ):
@@ -303,40 +310,45 @@ def add_photo(
         )
 
 
-def exposure_gains(
+def log_colours(
     mesh: Mesh,
     normals: tuple[np.ndarray, np.ndarray],
-    photos: Sequence[Photo],
-    cameras: Sequence[Camera],
+    photo: Photo,
+    camera: Camera,
     table: TexelTable,
     config: TextureConfig,
 ) -> Float[np.ndarray, "n 3"]:
+    """Logarithm of the colours that a photo, reduced, sees; NaN where it does not."""
+    sums = TexelSums.zero(len(table.index))
+    prepared = prepare_photo(mesh, photo.resized(EXPOSURE_SIDE_PX), camera, config)
+    add_photo(mesh, normals, prepared, np.ones(3), 0, table, config, sums)
+    colours = np.full((len(table.index), 3), np.nan, dtype=np.float32)
+    seen = sums.photo >= 0
+    values = sums.colours[seen]
+    colours[seen] = values[:, 1:4] / values[:, :1] + values[:, 5:] / values[:, 4:5]
+    # Neither black nor clipped: their ratios mean nothing.
+    colours[~((colours > 8.0) & (colours < 247.0)).all(axis=1)] = np.nan
+    return np.log(colours)
+
+
+def exposure_gains(logs: Sequence[np.ndarray]) -> Float[np.ndarray, "n 3"]:
     """Gains by channel that make photos agree on the texels that two of them see.
 
     Least squares on the medians of the log ratios of all pairs, so that a highlight
-    or a passer-by does not count; the gains' geometric mean is 1. Small photos do.
+    or a passer-by does not count; the gains' geometric mean is 1.
+
+    Args:
+        logs: For each photo what `log_colours` saw at the same texels.
     """
-    few = table.thinned(EXPOSURE_TEXELS)
-    logs = []
-    for photo, camera in zip(photos, cameras, strict=True):
-        sums = TexelSums.zero(len(few.index))
-        prepared = prepare_photo(mesh, photo.resized(EXPOSURE_SIDE_PX), camera, config)
-        add_photo(mesh, normals, prepared, np.ones(3), 0, few, config, sums)
-        colours = np.full((len(few.index), 3), np.nan, dtype=np.float32)
-        seen = sums.photo >= 0
-        values = sums.colours[seen]
-        colours[seen] = values[:, 1:4] / values[:, :1] + values[:, 5:] / values[:, 4:5]
-        # Neither black nor clipped: their ratios mean nothing.
-        colours[~((colours > 8.0) & (colours < 247.0)).all(axis=1)] = np.nan
-        logs.append(np.log(colours))
-    rows, ratios = [np.ones(len(photos))], [np.zeros(3)]
-    for i in range(len(photos)):
+    n = len(logs)
+    rows, ratios = [np.ones(n)], [np.zeros(3)]
+    for i in range(n):
         for j in range(i):
             difference = logs[i] - logs[j]
             difference = difference[np.isfinite(difference[:, 0])]
             if len(difference) < MIN_JOINT_TEXELS:
                 continue
-            row = np.zeros(len(photos))
+            row = np.zeros(n)
             row[i], row[j] = 1.0, -1.0
             # Pairs that share more say more, as far as their medians are noise.
             weight = np.sqrt(min(1.0, len(difference) / 5000.0))

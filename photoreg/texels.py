@@ -60,6 +60,20 @@ def _bilinear(image, ix, iy, fx, fy, channel):  # noqa: ANN001, ANN202
     return (1.0 - fy) * upper + fy * lower
 
 
+@nb.njit(nogil=True, cache=True, parallel=True)
+def sample(picture, uv):  # noqa: ANN001, ANN201
+    """Colours (n, 3) of a picture at texture coordinates (n, >= 2), v upwards."""
+    height, width = picture.shape[0], picture.shape[1]
+    colours = np.zeros((len(uv), 3))
+    for i in nb.prange(len(uv)):
+        x = min(max(uv[i, 0] * width - 0.5, 0.0), width - 1.0)
+        y = min(max((1.0 - uv[i, 1]) * height - 0.5, 0.0), height - 1.0)
+        ix, iy = max(min(int(x), width - 2), 0), max(min(int(y), height - 2), 0)
+        for channel in range(3):
+            colours[i, channel] = _bilinear(picture, ix, iy, x - ix, y - iy, channel)
+    return colours
+
+
 @nb.njit(nogil=True, cache=True)
 def photo_edges(depth, face_index, face_normals, N, focal_px, tolerance_px):  # noqa: ANN001, ANN201
     """Where a photo's depth jumps: pixels off the plane of a neighbour's face.

@@ -1,7 +1,7 @@
 """Photos baked into one texture: each texel from the photos that truly see it."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 
 import cv2
 import numpy as np
@@ -14,14 +14,17 @@ from photoreg.camera import Camera
 from photoreg.errors import InputError
 from photoreg.mesh import Mesh
 from photoreg.painting import (
+    EXPOSURE_TEXELS,
     MAX_SIZE,
     MIN_SIZE,
+    TEXELS_AT_A_TIME,
     TexelSums,
     TexelTable,
     TextureConfig,
     add_photo,
     exposure_gains,
     fitted_photo,
+    log_colours,
     outward_normals,
     prepare_photo,
 )
@@ -84,6 +87,16 @@ class TexturedMesh:
         return picture
 
 
+@dataclasses.dataclass(frozen=True)
+class BakingStep:
+    """What comes next in the making of a texture."""
+
+    title: str
+    """In words, for a progress bar."""
+    fraction: float
+    """Share of the work done, in [0, 1], by rule of thumb."""
+
+
 def bake_texture(
     mesh: Mesh,
     photos: Sequence[Photo],
@@ -91,11 +104,27 @@ def bake_texture(
     config: TextureConfig | None = None,
     atlas: Atlas | None = None,
 ) -> TexturedMesh:
-    """Paints the photos onto the mesh.
+    """Paints the photos onto the mesh: `baking` without its steps."""
+    *_, textured = baking(mesh, photos, cameras, config, atlas)
+    assert isinstance(textured, TexturedMesh)
+    return textured
+
+
+def baking(
+    mesh: Mesh,
+    photos: Sequence[Photo],
+    cameras: Sequence[Camera],
+    config: TextureConfig | None = None,
+    atlas: Atlas | None = None,
+) -> Generator[BakingStep | TexturedMesh]:
+    """Paints the photos onto the mesh, step by step; stop iterating to cancel.
 
     Each texel takes colours from the photos that see its surface point: inside the
-    photo and its mask, facing it, not occluded, away from silhouettes. Weights grow
-    with resolution, with the angle and with the distance to edges.
+    photo and its mask, facing it, not occluded (a ray decides), away from silhouettes.
+    Weights grow with resolution, with the angle and with the distance to edges.
+
+    Photos are worked on one after the other, so the memory needed beside them does not
+    grow with their number.
 
     Args:
         mesh: The surface.
@@ -104,40 +133,57 @@ def bake_texture(
         config: Settings; None: the defaults.
         atlas: Texture coordinates made before for this mesh; None: made now.
 
+    Yields:
+        Steps, and last of all the textured mesh.
+
     Raises:
-        InputError: if photos and cameras do not match.
+        InputError: if photos and cameras do not match, or unseen faces are to keep
+            colours that the mesh does not have.
     """
     config = config or TextureConfig()
     _check_photos(photos, cameras)
-    atlas = atlas or make_atlas(mesh, config.keep_uv)
+    _check_own_colours(mesh, config)
+    if atlas is None:
+        yield BakingStep("Unfolding the surface", 0.0)
+        atlas = make_atlas(mesh, config.keep_uv)
+    yield BakingStep("Laying out the texture", 0.2)
     density = _pixels_per_unit(mesh, cameras)
     width, height = _texture_size(mesh, atlas, density, config)
     table = _texel_table(mesh, atlas, width, height)
     normals = outward_normals(mesh, cameras)
 
-    gains = np.ones((len(photos), 3))
-    if config.even_exposure and len(photos) > 1:
-        gains = exposure_gains(mesh, normals, photos, cameras, table, config)
+    n = len(photos)
+    gains = np.ones((n, 3))
+    if config.even_exposure and n > 1:
+        few, logs = table.thinned(EXPOSURE_TEXELS), []
+        for i, (photo, camera) in enumerate(zip(photos, cameras, strict=True)):
+            yield BakingStep(f"Comparing exposures: {photo.name}", 0.25 + 0.15 * i / n)
+            logs.append(log_colours(mesh, normals, photo, camera, few, config))
+        gains = exposure_gains(logs)
     sums = TexelSums.zero(len(table.index))
     for i, (photo, camera) in enumerate(zip(photos, cameras, strict=True)):
+        yield BakingStep(f"Painting {photo.name}", 0.4 + 0.45 * i / n)
         prepared = prepare_photo(
             mesh, fitted_photo(photo, camera, mesh, table), camera, config
         )
         add_photo(mesh, normals, prepared, gains[i], i, table, config, sums)
 
+    yield BakingStep("Filling what no photo sees", 0.85)
     texture = np.zeros((height * width, 3), dtype=np.uint8)
     texture[:] = config.unseen_colour
     texels.write_texels(table.index, sums.colours, texture)
     seen = sums.photo >= 0
-    if config.unseen == "diffuse" and seen.any() and not seen.all():
+    if config.unseen == "own":
+        _keep_own_colours(mesh, table, seen, texture)
+    elif config.unseen == "diffuse" and seen.any() and not seen.all():
         _fill_unseen(mesh, table, seen, texture)
     photo_index = np.full(height * width, -2, dtype=np.int16)
     photo_index[table.index[table.inside]] = sums.photo[table.inside]
     quality = np.zeros(height * width, dtype=np.uint8)
     quality[table.index] = np.rint(255.0 * sums.quality)
     quality[photo_index < 0] = 0
-    shares = _area_shares(mesh, table, sums.photo, len(photos))
-    return TexturedMesh(
+    shares = _area_shares(mesh, table, sums.photo, n)
+    yield TexturedMesh(
         mesh,
         atlas,
         _with_gutter(texture.reshape(height, width, 3), table),
@@ -147,6 +193,42 @@ def bake_texture(
         tuple(float(share) for share in shares),
         gains,
     )
+
+
+def _check_own_colours(mesh: Mesh, config: TextureConfig) -> None:
+    if config.unseen == "own" and not (
+        mesh.own_texture is not None or mesh.vertex_colours is not None
+    ):
+        raise InputError(
+            f"{mesh.name} has neither a texture nor colours at its vertices, so unseen "
+            "faces cannot keep their own; choose to diffuse, or one colour."
+        )
+
+
+def _keep_own_colours(
+    mesh: Mesh, table: TexelTable, seen: np.ndarray, texture: np.ndarray
+) -> None:
+    """Gives unseen texels the mesh's own texture, or else its vertices' colours."""
+    index, face = table.index[~seen], table.face[~seen]
+    geometry = table.width, table.corners_px
+    if mesh.own_texture is None or mesh.corner_uv is None:
+        assert mesh.vertex_colours is not None
+        colours = mesh.vertex_colours.astype(np.float64)
+        texels.write_from_vertices(index, face, *geometry, mesh.faces, colours, texture)
+        return
+    # Texture coordinates are laid over the faces as positions are.
+    uv = np.pad(mesh.corner_uv.reshape(-1, 2), ((0, 0), (0, 1)))
+    corners = np.arange(len(uv), dtype=np.int32).reshape(-1, 3)
+    for start in range(0, len(index), TEXELS_AT_A_TIME):
+        part = slice(start, start + TEXELS_AT_A_TIME)
+        places = texels.points_at(index[part], face[part], *geometry, uv, corners)
+        # Coordinates beyond [0, 1] repeat the picture.
+        colours = texels.sample(mesh.own_texture, _wrapped(places))
+        texture[index[part]] = np.rint(colours).astype(np.uint8)
+
+
+def _wrapped(uv: np.ndarray) -> np.ndarray:
+    return np.where((uv >= 0.0) & (uv <= 1.0), uv, uv - np.floor(uv))
 
 
 def _check_photos(photos: Sequence[Photo], cameras: Sequence[Camera]) -> None:

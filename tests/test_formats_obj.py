@@ -10,7 +10,8 @@ import pytest
 import trimesh
 
 from photoreg.errors import OutputError
-from photoreg.formats.obj import save_textured_obj, textured_obj_zip
+from photoreg.formats.obj import save_textured_obj
+from photoreg.formats.textured import textured_download
 from photoreg.texture import TextureConfig, bake_texture
 from tests.painted import ball_and_moon, cameras_around, paint, photograph
 
@@ -93,7 +94,9 @@ def test_the_folder_holds_only_the_three_files(tmp_path, textured):
 
 def test_the_zip_holds_the_same_three_files(tmp_path, textured):
     written = save_textured_obj(tmp_path / "model.obj", textured)
-    with zipfile.ZipFile(io.BytesIO(textured_obj_zip(textured, "model"))) as archive:
+    name, content = textured_download("model.obj", textured)
+    assert name == "model-textured.zip"
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
         assert archive.testzip() is None
         contents = {name: archive.read(name) for name in archive.namelist()}
     assert contents == {path.name: path.read_bytes() for path in written}

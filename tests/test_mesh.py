@@ -3,6 +3,7 @@ import pickle
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from photoreg.errors import InputError
 from photoreg.mesh import MESH_SUFFIXES, Mesh, load_mesh
@@ -145,3 +146,33 @@ def test_a_missing_mesh_is_named(tmp_path):
 def test_faces_that_name_missing_vertices_are_refused():
     with pytest.raises(InputError, match="vertex 9"):
         Mesh(np.eye(3), np.array([[0, 1, 9]]))
+
+
+def test_an_obj_s_texture_and_normals_are_kept(tmp_path):
+    picture = np.arange(48, dtype=np.uint8).reshape(4, 4, 3) * 5
+    Image.fromarray(picture).save(tmp_path / "t.png")
+    (tmp_path / "m.mtl").write_text("newmtl a\nmap_Kd t.png\n")
+    (tmp_path / "m.obj").write_text(
+        "mtllib m.mtl\nusemtl a\nv 0 0 0\nv 1 0 0\nv 0 1 0\n"
+        "vt 0 0\nvt 1 0\nvt 0 1\nvn 0 0.6 0.8\nvn 0 0 1\nvn 1 0 0\n"
+        "f 1/1/1 2/2/2 3/3/3\n"
+    )
+    mesh = load_mesh(tmp_path / "m.obj")
+    np.testing.assert_array_equal(mesh.own_texture, picture)
+    expected = [[0, 0.6, 0.8], [0, 0, 1], [1, 0, 0]]
+    np.testing.assert_allclose(mesh.normals_to_keep, expected, atol=1e-7)
+
+
+def test_a_ply_s_colours_and_normals_are_kept(tmp_path):
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    colours = np.random.default_rng(1).integers(0, 256, (42, 4), dtype=np.uint8)
+    trimesh.Trimesh(
+        ball.vertices,
+        ball.faces,
+        vertex_normals=-ball.vertices,
+        vertex_colors=colours,
+        process=False,
+    ).export(tmp_path / "m.ply", vertex_normal=True)
+    mesh = load_mesh(tmp_path / "m.ply")
+    np.testing.assert_array_equal(mesh.vertex_colours, colours[:, :3])
+    np.testing.assert_allclose(mesh.normals_to_keep, -ball.vertices, atol=1e-6)

@@ -13,7 +13,16 @@ from photoreg.errors import InputError
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.raster import render_geometry
-from photoreg.texture import TextureConfig, TexturedMesh, bake_texture
+from photoreg.registration import refine
+from photoreg.scene_options import SceneOptions
+from photoreg.synthetic import make_scene
+from photoreg.texture import (
+    BakingStep,
+    TextureConfig,
+    TexturedMesh,
+    bake_texture,
+    baking,
+)
 from tests.painted import (
     BACKDROP,
     ball_and_moon,
@@ -22,6 +31,7 @@ from tests.painted import (
     photograph,
     render_textured,
 )
+from tests.third_view import likeness
 
 
 @pytest.fixture(scope="module")
@@ -357,3 +367,96 @@ def test_cameras_that_see_nothing_leave_the_surface_unpainted(mesh, photos, atla
     textured = bake_texture(mesh, photos[:1], [away], atlas=atlas)
     assert textured.seen_share == 0.0
     assert (textured.texture == TextureConfig().unseen_colour).all()
+
+
+def test_unseen_surface_keeps_the_vertices_own_colours(mesh, photos, cameras, atlas):
+    own = np.rint(paint(mesh.vertices)).astype(np.uint8)
+    coloured = dataclasses.replace(mesh, vertex_colours=own)
+    config = TextureConfig(unseen="own")
+    textured = bake_texture(coloured, photos[:1], cameras[:1], config, atlas)
+    points, _, on_chart = texel_points(textured)
+    unseen = (textured.photo_index == -1)[on_chart]
+    error = np.abs(textured.texture[on_chart] - paint(points))[unseen]
+    # Straight between vertices, which are 0.1 apart: a curved colour is cut short.
+    assert error.mean() < 4.0, error.mean()
+
+
+def test_unseen_surface_keeps_the_mesh_s_own_texture(mesh, photos, cameras, textured):
+    # The same surface has a whole texture on coordinates of its own.
+    whole = bake_texture(
+        mesh, [photograph(mesh, c) for c in cameras_around(12)], cameras_around(12)
+    )
+    own = dataclasses.replace(
+        mesh, corner_uv=whole.corner_uv, own_texture=whole.texture
+    )
+    config = TextureConfig(unseen="own", keep_uv=False, size=512)
+    kept = bake_texture(own, photos[:1], cameras[:1], config)
+    points, _, on_chart = texel_points(kept)
+    known = by_nearest_photo(mesh, points) & (kept.photo_index == -1)[on_chart]
+    assert known.sum() > 5000
+    error = np.abs(kept.texture[on_chart] - paint(points))[known]
+    assert np.median(error) < 3.0, np.median(error)
+
+
+def by_nearest_photo(mesh, points) -> np.ndarray:
+    """Points on the equator of the big ball, which a dozen photos see."""
+    return (np.abs(points[:, 2]) < 0.4) & (points[:, 0] < 0.0)
+
+
+def test_a_mesh_without_colours_cannot_keep_them(mesh, photos, cameras):
+    with pytest.raises(InputError, match="neither a texture nor colours"):
+        bake_texture(mesh, photos, cameras, TextureConfig(unseen="own"))
+
+
+def test_baking_tells_its_steps_and_ends_with_the_model(mesh, photos, cameras):
+    *steps, last = baking(mesh, photos, cameras, TextureConfig(size=256))
+    assert isinstance(last, TexturedMesh)
+    assert all(isinstance(step, BakingStep) for step in steps)
+    fractions = [step.fraction for step in steps if isinstance(step, BakingStep)]
+    assert fractions == sorted(fractions)
+    titles = [step.title for step in steps if isinstance(step, BakingStep)]
+    assert all(f"Painting {photo.name}" in titles for photo in photos)
+    # To stop is to ask no further.
+    half = baking(mesh, photos, cameras, TextureConfig(size=256))
+    assert isinstance(next(half), BakingStep)
+    half.close()
+
+
+@pytest.mark.parametrize("view", [0.5, 1.4])
+def test_refined_cameras_cost_little_of_the_likeness(view):
+    """A view that no photo had, against the true render: PSNR and SSIM."""
+    scene = make_scene(SceneOptions("clean", seed=3, width=512, height=384))
+    left, right = scene.cameras
+    center = (1.0 - view) * left.center + view * right.center
+    center = center + 0.03 * scene.mesh.diagonal * left.R_cam_world[1]
+    camera = Camera.look_at(
+        center, scene.mesh.centroid, [0, 0, 1], left.focal_px, 512, 384
+    )
+    truth = scene.render(camera)
+    *_, last = refine(scene.mesh, scene.photos, scene.rough_cameras)
+    true, refined = (
+        likeness(bake_texture(scene.mesh, scene.photos, cameras), camera, truth)
+        for cameras in (scene.cameras, last.cameras)
+    )
+    assert true.n_pixels > 10_000
+    assert true.psnr_db > 30.0, true
+    assert refined.psnr_db > true.psnr_db - 1.0, (true, refined)
+    assert refined.ssim > true.ssim - 0.02, (true, refined)
+
+
+def test_no_seam_shows_where_one_photo_gives_way_to_the_other(textured, mesh):
+    """Steps between texels are no larger along the border between photos."""
+    points, _, on_chart = texel_points(textured)
+    wanted = np.zeros((*textured.texture.shape[:2], 3))
+    wanted[on_chart] = paint(points)
+    # Errors rather than colours: the surface's own pattern is no seam.
+    error = textured.texture - wanted
+    index = textured.photo_index
+    steps = np.abs(error[:, 1:] - error[:, :-1]).mean(axis=2)
+    both = (index[:, 1:] >= 0) & (index[:, :-1] >= 0)
+    border = both & (index[:, 1:] != index[:, :-1])
+    assert border.sum() > 100
+    ratio = steps[border].mean() / steps[both & ~border].mean()
+    # Measured: 0.55 of 255 levels along the border, 0.36 elsewhere, ratio 1.52. The
+    # best view alone has 1.08. The bar is twice.
+    assert ratio < 2.0, ratio

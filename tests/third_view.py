@@ -64,7 +64,7 @@ def likeness(textured: TexturedMesh, camera: Camera, truth: np.ndarray) -> Liken
     )
     shown = painted_pixels(textured, camera)
     squares = (picture - truth)[shown] ** 2
-    _, similarity = structural_similarity(
+    similarity: np.ndarray = structural_similarity(
         picture,
         truth.astype(np.float64),
         channel_axis=2,
@@ -73,7 +73,7 @@ def likeness(textured: TexturedMesh, camera: Camera, truth: np.ndarray) -> Liken
         sigma=1.5,
         use_sample_covariance=False,
         full=True,
-    )
+    )[1]  # pyright: ignore[reportAssignmentType]
     # SSIM looks 5 px around: only where all of that is painted.
     inner = _eroded(shown, 5)
     return Likeness(
@@ -86,7 +86,7 @@ def likeness(textured: TexturedMesh, camera: Camera, truth: np.ndarray) -> Liken
 def _eroded(mask: np.ndarray, radius: int) -> np.ndarray:
     padded = np.pad(mask, radius)
     views = np.lib.stride_tricks.sliding_window_view(padded, (2 * radius + 1,) * 2)
-    return views.all(axis=(2, 3))
+    return np.asarray(views.all(axis=(2, 3)))
 
 
 def _black(_: Camera, pixels: np.ndarray) -> np.ndarray:

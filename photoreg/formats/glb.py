@@ -67,7 +67,7 @@ def textured_glb(textured: TexturedMesh, picture: PictureKind = "png") -> bytes:
     model = trimesh.Trimesh(
         mesh.vertices[vertex_index] - middle,
         faces,
-        vertex_normals=mesh.vertex_normals[vertex_index],
+        vertex_normals=mesh.normals_to_keep[vertex_index],
         visual=trimesh.visual.TextureVisuals(uv, _material(textured, picture)),
         process=False,
         validate=False,

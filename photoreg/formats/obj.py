@@ -1,20 +1,20 @@
 """Textured OBJ: the mesh, its material file and its texture, side by side."""
 
-import io
 import re
-import zipfile
 from pathlib import Path
 
 import numpy as np
 
 from photoreg.checks import check_output_file
-from photoreg.formats.pictures import encode_picture
+from photoreg.formats.pictures import PICTURE_SUFFIX, PictureKind, encode_picture
 from photoreg.formats.writing import write_files
 from photoreg.texture import TexturedMesh
 
 
-def save_textured_obj(path: Path | str, textured: TexturedMesh) -> list[Path]:
-    """Writes OBJ, MTL and PNG, all of them or none.
+def save_textured_obj(
+    path: Path | str, textured: TexturedMesh, picture: PictureKind = "png"
+) -> list[Path]:
+    """Writes OBJ, MTL and picture, all of them or none.
 
     Coordinates, vertex order and face order are the mesh's own. The material and the
     texture are named after the OBJ and referred to without a folder, with every
@@ -23,51 +23,36 @@ def save_textured_obj(path: Path | str, textured: TexturedMesh) -> list[Path]:
     Args:
         path: Where the OBJ goes; files of the same names are replaced.
         textured: What `bake_texture` returned.
+        picture: How the texture is written; JPEG is several times smaller.
 
     Returns:
-        The three files written: OBJ, MTL, PNG.
+        The three files written: OBJ, MTL, picture.
 
     Raises:
         OutputError: if they cannot be written there.
     """
     path = check_output_file(Path(path), (".obj",))
-    names = _file_names(path.stem)
+    names = _file_names(path.stem, picture)
     targets = [path, path.with_name(names[1]), path.with_name(names[2])]
-    contents = _file_contents(path.stem, textured)
+    contents = _file_contents(path.stem, textured, picture)
     return write_files(dict(zip(targets, contents, strict=True)))
 
 
-def textured_obj_zip(textured: TexturedMesh, stem: str) -> bytes:
-    """The three files of `save_textured_obj` in one zip, for a download.
-
-    Args:
-        textured: What `bake_texture` returned.
-        stem: Name of the files, without suffix.
-    """
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in zip(
-            _file_names(stem), _file_contents(stem, textured), strict=True
-        ):
-            # The picture is compressed already.
-            stored = zipfile.ZIP_STORED if name.endswith(".png") else None
-            archive.writestr(name, content, compress_type=stored)
-    return buffer.getvalue()
-
-
-def _file_names(stem: str) -> tuple[str, str, str]:
+def _file_names(stem: str, picture: PictureKind) -> tuple[str, str, str]:
     safe = _safe_name(stem)
-    return f"{stem}.obj", f"{safe}.mtl", f"{safe}.png"
+    return f"{stem}.obj", f"{safe}.mtl", f"{safe}{PICTURE_SUFFIX[picture]}"
 
 
 def _safe_name(stem: str) -> str:
     return re.sub(r"\s", "_", stem)
 
 
-def _file_contents(stem: str, textured: TexturedMesh) -> tuple[bytes, bytes, bytes]:
-    obj, mtl, png = _file_names(stem)
-    del obj
-    return _obj_bytes(textured, mtl), _mtl_bytes(png), encode_picture(textured.texture)
+def _file_contents(
+    stem: str, textured: TexturedMesh, picture: PictureKind
+) -> tuple[bytes, bytes, bytes]:
+    _, mtl, image = _file_names(stem, picture)
+    encoded = encode_picture(textured.texture, picture)
+    return _obj_bytes(textured, mtl), _mtl_bytes(image), encoded
 
 
 def _obj_bytes(textured: TexturedMesh, mtl_name: str) -> bytes:
@@ -80,7 +65,7 @@ def _obj_bytes(textured: TexturedMesh, mtl_name: str) -> bytes:
             # repr() is the shortest text that reads back as the same number.
             _rows("v {!r} {!r} {!r}\n", mesh.vertices),
             _rows("vt {:.7f} {:.7f}\n", atlas.uv),
-            _rows("vn {:.6f} {:.6f} {:.6f}\n", mesh.vertex_normals),
+            _rows("vn {:.6f} {:.6f} {:.6f}\n", mesh.normals_to_keep),
             b"usemtl textured\n",
             _rows("f {}/{}/{} {}/{}/{} {}/{}/{}\n", corners.reshape(-1, 9)),
         ]
@@ -96,7 +81,7 @@ def _rows(template: str, rows: np.ndarray) -> bytes:
     return b"".join(chunks)
 
 
-def _mtl_bytes(png_name: str) -> bytes:
+def _mtl_bytes(picture_name: str) -> bytes:
     # Ambient and diffuse white and no highlight: viewers show the texture as it is.
     return (
         "# photoreg\n"
@@ -106,5 +91,5 @@ def _mtl_bytes(png_name: str) -> bytes:
         "Ks 0.0 0.0 0.0\n"
         "d 1.0\n"
         "illum 1\n"
-        f"map_Kd {png_name}\n"
+        f"map_Kd {picture_name}\n"
     ).encode()

@@ -10,6 +10,7 @@ from photoreg.errors import OutputError
 
 PictureKind = Literal["png", "jpeg"]
 JPEG_QUALITY = 95
+PICTURE_SUFFIX: dict[PictureKind, str] = {"png": ".png", "jpeg": ".jpg"}
 
 
 def encode_picture(
@@ -30,9 +31,8 @@ def encode_picture(
             cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
         ],
     }[kind]
-    suffix = {"png": ".png", "jpeg": ".jpg"}[kind]
     ok, encoded = cv2.imencode(
-        suffix, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), options
+        PICTURE_SUFFIX[kind], cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), options
     )
     if not ok:
         raise OutputError(f"The texture could not be encoded as {kind.upper()}.")

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from photoreg.checks import check_output_file
-from photoreg.formats.pictures import encode_picture
+from photoreg.formats.pictures import PICTURE_SUFFIX, PictureKind, encode_picture
 from photoreg.formats.seams import vertex_colours
 from photoreg.formats.writing import write_files
 from photoreg.texture import TexturedMesh
@@ -22,12 +22,15 @@ _FACE = [("n", "u1"), ("vertex_indices", "<i4", 3)]
 _CORNERS = [("n_uv", "u1"), ("texcoord", "<f4", 6)]
 
 
-def save_textured_ply(path: Path | str, textured: TexturedMesh) -> list[Path]:
-    """Writes PLY and PNG; the PNG is named after the PLY, spaces as underscores.
+def save_textured_ply(
+    path: Path | str, textured: TexturedMesh, picture: PictureKind = "png"
+) -> list[Path]:
+    """Writes PLY and picture, which is named after the PLY, spaces as underscores.
 
     Args:
         path: Where the PLY goes.
         textured: What `bake_texture` returned.
+        picture: How the texture is written; JPEG is several times smaller.
 
     Returns:
         The two files.
@@ -36,16 +39,17 @@ def save_textured_ply(path: Path | str, textured: TexturedMesh) -> list[Path]:
         OutputError: if they cannot be written there.
     """
     path = check_output_file(Path(path), (".ply",))
-    picture = path.with_name(re.sub(r"\s", "_", path.stem) + ".png")
+    safe = re.sub(r"\s", "_", path.stem)
+    image = path.with_name(safe + PICTURE_SUFFIX[picture])
     vertices = _vertices(textured, _POINT)
     faces = np.zeros(len(textured.faces), dtype=np.dtype(_FACE + _CORNERS))
     faces["n"], faces["vertex_indices"] = 3, textured.faces
     faces["n_uv"], faces["texcoord"] = 6, textured.corner_uv.reshape(-1, 6)
-    header = _header(vertices, faces, f"comment TextureFile {picture.name}\n")
+    header = _header(vertices, faces, f"comment TextureFile {image.name}\n")
     return write_files(
         {
             path: header + vertices.tobytes() + faces.tobytes(),
-            picture: encode_picture(textured.texture),
+            image: encode_picture(textured.texture, picture),
         }
     )
 
@@ -78,7 +82,7 @@ def _vertices(textured: TexturedMesh, fields: list[tuple[str, str]]) -> np.ndarr
     vertices = np.zeros(len(textured.vertices), dtype=np.dtype(fields))
     for i, axis in enumerate("xyz"):
         vertices[axis] = textured.vertices[:, i]
-        vertices[f"n{axis}"] = textured.mesh.vertex_normals[:, i]
+        vertices[f"n{axis}"] = textured.mesh.normals_to_keep[:, i]
     return vertices
 
 

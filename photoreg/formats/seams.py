@@ -1,9 +1,9 @@
 """A textured mesh with one texture coordinate a vertex: vertices doubled along seams."""
 
-import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
+from photoreg import texels
 from photoreg.texture import TexturedMesh
 
 
@@ -35,11 +35,8 @@ def split_at_seams(
 
 def vertex_colours(textured: TexturedMesh) -> UInt8[np.ndarray, "n 3"]:
     """The texture's colour at each vertex, the mean over its charts; grey off all faces."""
-    height, width = textured.texture.shape[:2]
-    uv, owner = textured.atlas.uv, np.asarray(textured.atlas.uv_vertex)
-    x = np.clip(uv[:, 0] * width - 0.5, 0.0, width - 1.0).astype(np.float32)
-    y = np.clip((1.0 - uv[:, 1]) * height - 0.5, 0.0, height - 1.0).astype(np.float32)
-    sampled = _bilinear(textured.texture, x, y)
+    owner = np.asarray(textured.atlas.uv_vertex)
+    sampled = texels.sample(textured.texture, textured.atlas.uv)
     n = len(textured.vertices)
     count = np.bincount(owner, minlength=n)
     sums = np.column_stack(
@@ -48,22 +45,3 @@ def vertex_colours(textured: TexturedMesh) -> UInt8[np.ndarray, "n 3"]:
     colours = np.full((n, 3), 128.0)
     colours[count > 0] = sums[count > 0] / count[count > 0, None]
     return np.rint(colours).astype(np.uint8)
-
-
-def _bilinear(
-    picture: UInt8[np.ndarray, "h w 3"],
-    x: Float[np.ndarray, "k"],
-    y: Float[np.ndarray, "k"],
-) -> Float[np.ndarray, "k 3"]:
-    # OpenCV's remap takes fewer than 32,768 rows at a time.
-    parts = [
-        cv2.remap(
-            picture,
-            x[i : i + 30_000, None],
-            y[i : i + 30_000, None],
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
-        for i in range(0, len(x), 30_000)
-    ]
-    return np.concatenate(parts)[:, 0].astype(np.float64)

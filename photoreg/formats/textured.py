@@ -1,31 +1,40 @@
-"""A textured model out, in the format of the suffix."""
+"""A textured model out, in the format of the suffix, to files or into one zip."""
 
-from collections.abc import Callable
+import tempfile
+import zipfile
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from photoreg.errors import OutputError
 from photoreg.formats.glb import save_textured_glb
 from photoreg.formats.obj import save_textured_obj
+from photoreg.formats.pictures import PictureKind
 from photoreg.formats.ply import save_coloured_ply, save_textured_ply
 from photoreg.texture import TexturedMesh
 
-TEXTURED_FORMATS: dict[str, Callable[[Path, TexturedMesh], list[Path]]] = {
+TEXTURED_FORMATS: dict[str, Callable[[Path, TexturedMesh, PictureKind], list[Path]]] = {
     ".obj": save_textured_obj,
     ".glb": save_textured_glb,
     ".ply": save_textured_ply,
 }
 """Suffix to what writes it and returns the files, the model first."""
 
+COMPRESSED = (".png", ".jpg", ".jpeg", ".glb")
+
 
 def save_textured(
-    path: Path | str, textured: TexturedMesh, at_vertices: bool = False
+    path: Path | str,
+    textured: TexturedMesh,
+    at_vertices: bool = False,
+    picture: PictureKind = "png",
 ) -> list[Path]:
-    """Writes a textured model: .obj (with MTL and PNG), .glb or .ply (with PNG).
+    """Writes a textured model: .obj (with MTL and picture), .glb or .ply (with picture).
 
     Args:
         path: Where the model goes.
         textured: What `bake_texture` returned.
         at_vertices: For .ply: colours at the vertices instead of a texture.
+        picture: How the texture is written; JPEG is several times smaller.
 
     Returns:
         The files written, the model first.
@@ -45,5 +54,46 @@ def save_textured(
             raise OutputError(
                 f"Cannot write {path}: colours at the vertices go into a .ply file."
             )
-        save = save_coloured_ply
-    return save(path, textured)
+        return save_coloured_ply(path, textured)
+    return save(path, textured, picture)
+
+
+def textured_download(
+    name: str,
+    textured: TexturedMesh,
+    at_vertices: bool = False,
+    picture: PictureKind = "png",
+) -> tuple[str, bytes]:
+    """What `save_textured` writes as one file for a download: zipped if there are more.
+
+    Args:
+        name: File name of the model, with suffix.
+        textured: What `bake_texture` returned.
+        at_vertices: As in `save_textured`.
+        picture: As in `save_textured`.
+
+    Returns:
+        The download's file name and bytes.
+    """
+    with tempfile.TemporaryDirectory(prefix="photoreg-") as folder:
+        files = save_textured(Path(folder) / name, textured, at_vertices, picture)
+        if len(files) == 1:
+            return name, files[0].read_bytes()
+        archive = zipped(Path(folder), files)
+    return f"{Path(name).stem}-textured.zip", archive
+
+
+def zipped(folder: Path, files: Sequence[Path]) -> bytes:
+    """Files of ``folder`` as one zip; pictures, compressed already, are stored."""
+    target = folder / ".download.zip"
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in files:
+            is_compressed = path.suffix.lower() in COMPRESSED
+            archive.write(
+                path,
+                path.relative_to(folder).as_posix(),
+                zipfile.ZIP_STORED if is_compressed else zipfile.ZIP_DEFLATED,
+            )
+    content = target.read_bytes()
+    target.unlink()
+    return content

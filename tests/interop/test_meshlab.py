@@ -4,6 +4,7 @@ import os
 import shutil
 import subprocess
 import sys
+import sysconfig
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +27,22 @@ def run(*words: Path) -> None:
     command = [sys.executable, str(READER), *map(str, words)]
     if len(words) > 2 and "DISPLAY" not in os.environ:
         command = ["xvfb-run", "-a", *command]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    done = subprocess.run(
+        command, env=environment(), capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, (
+        f"{done.stderr}\nThe Makefile names the libraries that MeshLab's OpenGL needs."
+    )
+
+
+def environment() -> dict[str, str]:
+    """With Qt's platform plugins, which PyMeshLab looks for but does not bring."""
+    plugins = Path(sysconfig.get_path("purelib")) / "PyQt5" / "Qt5" / "plugins"
+    paths = {
+        "QT_PLUGIN_PATH": str(plugins),
+        "QT_QPA_PLATFORM_PLUGIN_PATH": str(plugins / "platforms"),
+    }
+    return {**(paths if plugins.is_dir() else {}), **os.environ}
 
 
 def test_what_meshlab_makes_of_a_project_and_saves_is_read(tmp_path):
