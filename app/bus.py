@@ -5,6 +5,7 @@ do these, and send what was done as JSON through a hidden text input.
 """
 
 import html
+import itertools
 import json
 import logging
 from collections.abc import Callable
@@ -31,6 +32,8 @@ class Bus:
         self._text = gui.add_text("page", "", visible=False)
         self.upload = gui.add_upload_button("Files", visible=True)
         self._boot = gui.add_html(self._boot_html())
+        self._arrived = gui.add_html("")
+        self._count = itertools.count(1)
 
         @self._text.on_update
         @guarded
@@ -45,6 +48,11 @@ class Bus:
     def off(self, act: str) -> None:
         """Forgets the handler of this kind of message."""
         self._handlers.pop(act, None)
+
+    def arrived(self, name: str) -> None:
+        """Tells the page that a file is here, so that it sends the next one."""
+        count = str(next(self._count))
+        self._arrived.content = mounted("uploaded", file=name, count=count)
 
     def _deliver(self, text: str, client: viser.ClientHandle) -> None:
         try:

@@ -6,13 +6,12 @@ No viser here: the tests drive a whole refinement through this without a browser
 import dataclasses
 import datetime
 import logging
-import tempfile
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from app import outcomes
 from app import session as rules
+from app.intake import Intake
 from app.messages import (
     Bake,
     Baked,
@@ -39,7 +38,7 @@ from app.messages import (
     Timed,
     Working,
 )
-from app.opening import demo_folder, open_folder, with_camera_file
+from app.opening import demo_folder, open_folder
 from app.run import Run, Status
 from app.run_report import report_html
 from app.session import Session
@@ -49,8 +48,6 @@ from app.worker import Worker
 from photoreg.camera import Camera
 from photoreg.errors import InputError, RefinementError
 from photoreg.formats.cameras_json import CameraFile, dump_cameras
-from photoreg.mesh import MESH_SUFFIXES
-from photoreg.photo import PHOTO_SUFFIXES
 
 log = logging.getLogger(__name__)
 
@@ -72,12 +69,16 @@ class Conductor:
         self.on_problem: Callable[[str], None] = _ignore
         """Called with a sentence for everybody who looks at the page."""
         self._scene_sent: Document | None = None
-        self._uploads = tempfile.TemporaryDirectory(prefix="photoreg-")
-        self._upload_count = 0
         # One lock for both: listeners run under the session's.
         self._lock = session.lock
         self.worker = Worker(self._on_event, warm_up)
         self.solver = Solver(session)
+        self.intake = Intake(
+            session,
+            self.worker,
+            lambda: _must_be_idle(session.state),
+            self._tell,
+        )
         session.listen(self._follow)
         self._follow(State(), session.state)
 
@@ -85,7 +86,7 @@ class Conductor:
         """Ends the worker and removes uploaded files."""
         self.solver.close()
         self.worker.close()
-        self._uploads.cleanup()
+        self.intake.close()
 
     # What the user asks for.
 
@@ -100,29 +101,6 @@ class Conductor:
             name,
             lambda state: dataclasses.replace(
                 state, document=document, selected=0, texture=None
-            ),
-        )
-
-    def upload_mesh(self, name: str, content: bytes) -> None:
-        """Reads an uploaded mesh in the worker."""
-        path = self._keep(name, content, MESH_SUFFIXES, "mesh")
-        self._begin_job(f"Reading {path.name}")
-        self.worker.send(LoadMesh(path))
-
-    def upload_photo(self, name: str, content: bytes) -> None:
-        """Reads an uploaded photo in the worker."""
-        path = self._keep(name, content, PHOTO_SUFFIXES, "photo")
-        self._begin_job(f"Reading {path.name}")
-        self.worker.send(LoadPhoto(path))
-
-    def upload_cameras(self, name: str, content: bytes) -> None:
-        """Takes the cameras of an uploaded file, matched by photo name."""
-        path = self._keep(name, content, (".json",), "camera file")
-        _must_be_idle(self.session.state)
-        self.session.change(
-            f"Load {path.name}",
-            lambda state: dataclasses.replace(
-                state, document=with_camera_file(state.document, path)
             ),
         )
 
@@ -227,7 +205,7 @@ class Conductor:
                     "A textured model needs a mesh and a photo. Load them in the "
                     "Data tab."
                 )
-            self._begin_job("Making the texture")
+            self._set(job=Job("Making the texture"))
             self._send_scene(state.document)
             self.worker.send(Bake(state.document.used_cameras))
 
@@ -252,18 +230,8 @@ class Conductor:
         match event:
             case Ready():
                 self._set(worker="")
-            case MeshLoaded():
-                self._end_job()
-                self.session.change(
-                    f"Load {event.mesh.name}",
-                    lambda state: outcomes.with_mesh(state, event),
-                )
-            case PhotoLoaded():
-                self._end_job()
-                self.session.change(
-                    f"Add {event.photo.name}",
-                    lambda state: outcomes.with_photo(state, event),
-                )
+            case MeshLoaded() | PhotoLoaded():
+                self.intake.loaded(event)
             case Live():
                 self.session.change(None, lambda state: outcomes.advanced(state, event))
             case Picture():
@@ -308,11 +276,14 @@ class Conductor:
                 lambda state: outcomes.broken_off(state, event.message, keep=False),
             )
         self.on_problem(event.message)
+        if event.job in (LoadMesh.__name__, LoadPhoto.__name__):
+            self.intake.failed()
 
     def _on_death(self, event: Died) -> None:
         log.error("The worker process died (exit code %s)", event.exit_code)
         with self._lock:
             self._scene_sent = None
+            self.intake.forget()
         state = self.session.state
         self._set(job=None, worker="Starting the engine again")
         what = state.job.title if state.job is not None else None
@@ -393,33 +364,11 @@ class Conductor:
             self.worker.send(SetScene(document.mesh, photos, masks))
             self._scene_sent = document
 
+    def _tell(self, sentence: str) -> None:
+        self.on_problem(sentence)
+
     def _set(self, **values: Any) -> None:
         self.session.change(None, rules.setting(**values))
-
-    def _begin_job(self, title: str) -> None:
-        _must_be_idle(self.session.state)
-        self._set(job=Job(title))
-
-    def _end_job(self) -> None:
-        self._set(job=None)
-
-    def _keep(
-        self, name: str, content: bytes, suffixes: tuple[str, ...], what: str
-    ) -> Path:
-        # Only the last part of the name: a path must not leave the folder.
-        plain = name.replace("\\", "/").rpartition("/")[2].strip() or what
-        if Path(plain).suffix.lower() not in suffixes:
-            raise InputError(
-                f"{plain} is not a {what} photoreg reads: the suffix should be one of "
-                f"{', '.join(suffixes)}."
-            )
-        with self._lock:
-            self._upload_count += 1
-            folder = Path(self._uploads.name) / str(self._upload_count)
-        folder.mkdir()
-        path = folder / plain
-        path.write_bytes(content)
-        return path
 
 
 def _must_be_idle(state: State) -> None:

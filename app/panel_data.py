@@ -6,12 +6,11 @@ import html
 import cv2
 import viser
 
+from app.bus import Bus
 from app.conductor import Conductor
 from app.controls import confirm, guarded, guarded_slow, put, put_value
 from app.session import select, setting, with_entry, with_photo_removed
 from app.state import PhotoEntry, State
-from photoreg.mesh import MESH_SUFFIXES
-from photoreg.photo import PHOTO_SUFFIXES
 
 THUMBNAIL_PX = 160
 
@@ -19,27 +18,14 @@ THUMBNAIL_PX = 160
 class DataPanel:
     """Controls of the Data tab."""
 
-    def __init__(self, gui: viser.GuiApi, conductor: Conductor) -> None:
+    def __init__(self, gui: viser.GuiApi, conductor: Conductor, bus: Bus) -> None:
         self._thumbnails: dict[int, tuple[object, str]] = {}
         self._card_key: object = None
         session = conductor.session
         gui.add_markdown("A scanned surface, and the photos to lay onto it.")
         self._mesh_card = gui.add_html("")
-        self._mesh = gui.add_upload_button(
-            "Load a mesh",
-            icon=viser.Icon.CUBE,
-            mime_type=",".join(MESH_SUFFIXES),
-        )
         self._photo_cards = gui.add_html("")
-        self._photo = gui.add_upload_button(
-            "Add a photo",
-            icon=viser.Icon.PHOTO_PLUS,
-            mime_type=",".join(PHOTO_SUFFIXES),
-        )
-        gui.add_markdown(
-            "Mesh: OBJ, PLY, STL, GLB. Photo: JPEG, PNG, TIFF. A new photo gets a first "
-            "camera in front of the object; place it in the next tab."
-        )
+        self._open = gui.add_html("")
         with gui.add_folder(
             "Selected photo", expand_by_default=False
         ) as self._selected:
@@ -50,29 +36,24 @@ class DataPanel:
             self._remove = gui.add_button(
                 "Remove this photo", icon=viser.Icon.TRASH, color="gray"
             )
-        with gui.add_folder("Cameras and demo", expand_by_default=False):
-            self._load = gui.add_upload_button(
-                "Load cameras.json", icon=viser.Icon.FILE_IMPORT, mime_type=".json"
-            )
+        with gui.add_folder("Demo and page", expand_by_default=False):
             self._demo = gui.add_button("Open the demo", icon=viser.Icon.SPARKLES)
             self._dark = gui.add_checkbox("Dark page", True)
 
-        @self._mesh.on_upload
-        @guarded_slow
-        def _(event: viser.GuiEvent) -> None:
-            conductor.upload_mesh(event.target.value.name, event.target.value.content)
+        bus.on(
+            "batch",
+            lambda values, client: conductor.intake.expect(
+                client.client_id, int(values["files"])
+            ),
+        )
 
-        @self._photo.on_upload
-        @guarded_slow
+        @bus.upload.on_upload
+        @guarded
         def _(event: viser.GuiEvent) -> None:
-            conductor.upload_photo(event.target.value.name, event.target.value.content)
-
-        @self._load.on_upload
-        @guarded_slow
-        def _(event: viser.GuiEvent) -> None:
-            conductor.upload_cameras(
-                event.target.value.name, event.target.value.content
-            )
+            # On the loop, in the order of arrival: the next file takes its place.
+            file = event.target.value
+            bus.arrived(file.name)
+            conductor.intake.receive(event.client_id or 0, file.name, file.content)
 
         @self._demo.on_click
         @guarded_slow
@@ -119,7 +100,8 @@ class DataPanel:
     def show(self, state: State) -> None:
         """Makes the controls as ``state`` has them."""
         busy = state.run.status != "idle" or state.job is not None
-        for control in (self._mesh, self._photo, self._load, self._demo, self._remove):
+        put(self._open, "content", _opening_html(state, busy))
+        for control in (self._demo, self._remove):
             put(control, "disabled", busy)
         put(self._selected, "visible", bool(state.document.photos))
         put_value(self._dark, state.dark)
@@ -176,10 +158,27 @@ _NAME = (
 _FACTS = "font-size:12px;opacity:.7"
 
 
+def _opening_html(state: State, busy: bool) -> str:
+    """The button that opens files; while one is read, which."""
+    job = state.job
+    text = "Open files …" if job is None else f"{html.escape(job.title)} …"
+    dim = "opacity:.5;cursor:default" if busy else "cursor:pointer"
+    return (
+        f'<div style="margin:4px 12px 10px"><button {"disabled" if busy else ""} style="'
+        "font:inherit;font-size:14px;font-weight:600;border:0;border-radius:5px;"
+        f'padding:9px;width:100%;background:#26a69a;color:#04211e;{dim}" '
+        f'onclick="photoreg.choose()">{text}</button>'
+        '<div style="font-size:12.5px;opacity:.75;margin-top:7px;line-height:1.45">'
+        "Or drop them anywhere on this page, several at once. Mesh: OBJ, PLY, STL, GLB, "
+        "OFF. Photos: JPEG, PNG, TIFF. Cameras: JSON. A new photo gets a first camera "
+        "in front of the object; place it in the next tab.</div></div>"
+    )
+
+
 def _mesh_card(state: State) -> str:
     mesh = state.document.mesh
     if mesh is None:
-        name, facts = "No mesh yet", "Load one to begin."
+        name, facts = "No mesh yet", "Open one to begin."
     else:
         size = mesh.bounds[1] - mesh.bounds[0]
         name = html.escape(mesh.name)

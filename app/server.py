@@ -121,7 +121,7 @@ class Page:
         self._travel = Tools(gui, bus, "", (), self._on_travel)
         tabs = gui.add_tab_group()
         with tabs.add_tab("1 Data"):
-            data = DataPanel(gui, self.conductor)
+            data = DataPanel(gui, self.conductor, bus)
         with tabs.add_tab("2 Align") as self._align_tab:
             align = AlignPanel(gui, self.conductor, bus)
         with tabs.add_tab("3 Refine"):
@@ -319,7 +319,7 @@ def status_line(state: State) -> str:
     elif run.status == "review":
         colour, text = "#2dbeaf", "Refined. Accept or revert in tab 3."
     elif state.document.mesh is None:
-        colour, text = "#98a2b3", "Load a mesh to begin."
+        colour, text = "#98a2b3", "Open a mesh to begin."
     elif state.worker:
         colour, text = "#98a2b3", f"{state.worker} …"
     else:

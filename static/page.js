@@ -59,48 +59,32 @@
   };
 
   // Files: each goes through viser's hidden upload input, one after the other.
-  const upload = { busy: false, cancelled: false };
-
+  let sending = null; // the name of the file on its way
+  const later = (ms) => new Promise((ok) => setTimeout(ok, ms));
   const input = () => document.getElementById(`file_upload_${photoreg.upload}`);
-
-  async function settled() {
-    // The button is disabled while a file is on its way.
-    for (let i = 0; i < 36000; i++) {
-      await new Promise((ok) => setTimeout(ok, 50));
-      const box = input();
-      if (box && !box.disabled && !upload.waiting) return;
-    }
-  }
-
-  photoreg.uploaded = () => (upload.waiting = false);
 
   photoreg.files = async (files) => {
     files = [...files];
-    if (!files.length || upload.busy) return;
-    upload.busy = true;
-    upload.cancelled = false;
-    photoreg.send("batch", { names: files.map((f) => f.name) });
+    if (!files.length || sending !== null) return;
+    photoreg.send("batch", { files: files.length });
     try {
       for (const file of files) {
-        if (upload.cancelled) break;
-        const box = input();
         const transfer = new DataTransfer();
         transfer.items.add(file);
+        const box = input();
         box.files = transfer.files;
-        upload.waiting = true;
+        sending = file.name;
         box.dispatchEvent(new Event("change", { bubbles: true }));
-        await settled();
+        while (sending !== null) await later(30);
       }
     } finally {
-      upload.busy = false;
+      sending = null;
     }
   };
 
-  photoreg.cancel = () => {
-    upload.cancelled = true;
-    upload.waiting = false;
-    photoreg.send("cancel");
-  };
+  photoreg.define("uploaded", (element) => {
+    if (element.dataset.file === sending) sending = null;
+  });
 
   photoreg.choose = () => {
     const box = document.createElement("input");
@@ -149,5 +133,4 @@
     show(false);
     photoreg.files(e.dataTransfer.files);
   });
-  photoreg.define("uploaded", () => photoreg.uploaded());
 })();

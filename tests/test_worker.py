@@ -237,7 +237,7 @@ def test_a_conductor_s_stop_waits_for_a_decision(conductor):
 def test_an_uploaded_photo_gets_a_camera_that_sees_the_object(conductor, scene):
     session = conductor.session
     data = cv2.imencode(".png", scene.photos[0].pixels)[1].tobytes()
-    conductor.upload_photo("../../etc/new one.png", data)
+    conductor.intake.open_one("../../etc/new one.png", data)
     state = wait(conductor, lambda s: len(s.document.photos) == 3, "it is added")
     entry = state.document.photos[2]
     assert entry.name == "new one.png"
@@ -250,11 +250,11 @@ def test_a_bad_upload_is_told_and_changes_nothing(conductor):
     problems: list[str] = []
     conductor.on_problem = problems.append
     document = conductor.session.state.document
-    conductor.upload_photo("notes.jpg", b"not a picture")
+    conductor.intake.open_one("notes.jpg", b"not a picture")
     wait_until(lambda: problems, "the user is told")
     assert "notes.jpg could not be read" in problems[0]
     with pytest.raises(InputError, match="suffix"):
-        conductor.upload_mesh("mesh.exe", b"MZ")
+        conductor.intake.open_one("mesh.exe", b"MZ")
     assert conductor.session.state.document is document
     assert conductor.session.state.job is None
 

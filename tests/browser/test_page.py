@@ -113,7 +113,10 @@ def test_a_text_file_named_jpg_becomes_a_message_and_changes_nothing(
     before = app.state.document
     path = tmp_path / "notes.jpg"
     path.write_text("these are notes, not a picture")
-    app.driver.page.set_input_files('input[type="file"][accept*=".jpeg"]', path)
+    app.driver.tab("1 Data")
+    with app.driver.page.expect_file_chooser() as chooser:
+        app.driver.click("Open files …")
+    chooser.value.set_files(path)
     message = app.driver.page.get_by_text("notes.jpg could not be read")
     message.wait_for(timeout=60_000)
     assert app.state.document is before

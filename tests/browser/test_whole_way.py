@@ -30,7 +30,7 @@ def test_a_person_s_whole_way(open_app, tmp_path):
     driver.dismiss_toasts()
 
     # Open the demo.
-    driver.page.get_by_text("Cameras and demo").click()
+    driver.page.get_by_text("Demo and page").click()
     driver.click("Open the demo")
     wait_until(lambda: len(app.state.document.photos) == 2, "the demo opens")
     demo = app.state.document

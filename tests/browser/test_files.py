@@ -1,0 +1,120 @@
+"""Files dropped onto the page, or chosen together, with their real bytes."""
+
+import base64
+
+import cv2
+import pytest
+
+from app.session import with_document
+from app.state import Document, same_camera
+from photoreg.formats.cameras_json import CameraFile, dump_cameras
+from tests.browser.driver import wait_until
+
+_DROP = """files => {
+  const transfer = new DataTransfer();
+  for (const [name, text] of files) {
+    const bytes = Uint8Array.from(atob(text), c => c.charCodeAt(0));
+    transfer.items.add(new File([bytes], name));
+  }
+  const send = kind => document.querySelector('canvas').dispatchEvent(
+    new DragEvent(kind, {dataTransfer: transfer, bubbles: true, cancelable: true}));
+  send('dragenter'); send('dragover');
+  const shown = document.getElementById('photoreg-drop').style.display;
+  send('drop');
+  return [shown, document.getElementById('photoreg-drop').style.display];
+}"""
+
+
+@pytest.fixture(scope="module")
+def files(toy_document) -> dict[str, bytes]:
+    """A mesh, two photos and their cameras, as files."""
+    mesh = toy_document.mesh
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.tolist()]
+    lines += ["f " + " ".join(str(i + 1) for i in face) for face in mesh.faces.tolist()]
+    made = {"rock.obj": "\n".join(lines).encode()}
+    cameras = {}
+    for entry, name in zip(toy_document.photos, ("a.png", "b.png"), strict=True):
+        bgr = cv2.cvtColor(entry.photo.pixels, cv2.COLOR_RGB2BGR)
+        made[name] = cv2.imencode(".png", bgr)[1].tobytes()
+        cameras[name] = entry.camera
+    made["cameras.json"] = dump_cameras(CameraFile(cameras)).encode()
+    return made
+
+
+@pytest.fixture(scope="module")
+def running(open_app_once):
+    """One app for the tests of this file; it takes seconds to start."""
+    return open_app_once(Document())
+
+
+def drop(app, files: dict[str, bytes]) -> list[str]:
+    app.driver.dismiss_toasts()
+    texts = [[name, base64.b64encode(data).decode()] for name, data in files.items()]
+    return app.driver.page.evaluate(_DROP, texts)
+
+
+def names(app) -> list[str]:
+    return [entry.name for entry in app.state.document.photos]
+
+
+def test_a_mesh_photos_and_cameras_dropped_together_are_one_new_scene(
+    running, toy_document, files
+):
+    app = running
+    app.session.change("Open", with_document(photos=toy_document.photos))
+    before = app.state.document
+    # The worst order: what needs the others comes first.
+    order = ("cameras.json", "b.png", "a.png", "rock.obj")
+    shown = drop(app, {name: files[name] for name in order})
+    assert shown == ["flex", "none"], "the target shows while files hover"
+
+    def opened() -> bool:
+        return sorted(names(app)) == ["a.png", "b.png"] and all(
+            same_camera(entry.camera, original(entry).camera)
+            for entry in app.state.document.photos
+        )
+
+    def original(entry):
+        return toy_document.photos["ab".index(entry.name[0])]
+
+    wait_until(opened, "photos and cameras are there, and the old photos gone")
+    assert app.state.undo_name == "Open 4 files"
+    assert app.state.job is None
+    mesh = app.state.document.mesh
+    assert mesh is not None
+    assert len(mesh.faces) == len(toy_document.mesh.faces)
+    for entry in app.state.document.photos:
+        assert (entry.photo.pixels == original(entry).photo.pixels).all()
+    app.driver.page.keyboard.press("Control+z")
+    wait_until(lambda: app.state.document is before, "one step back undoes all", 20)
+
+
+def test_a_bad_file_among_good_ones_is_told_and_the_others_are_opened(running, files):
+    app = running
+    app.session.change("Begin", with_document(mesh=None, display_mesh=None, photos=()))
+    drop(
+        app,
+        {
+            "notes.txt": b"notes",
+            "broken.jpg": b"not a picture",
+            "b.png": files["b.png"],
+            "rock.obj": files["rock.obj"],
+        },
+    )
+    app.driver.page.get_by_text("notes.txt is not a file photoreg opens").wait_for()
+    app.driver.page.get_by_text("broken.jpg could not be read").wait_for()
+    wait_until(lambda: names(app) == ["b.png"] and app.state.job is None, "b is there")
+    assert app.state.document.mesh is not None
+
+
+def test_several_files_are_chosen_at_once_and_added(running, files, tmp_path):
+    app = running
+    app.session.change("Begin", with_document(photos=()))
+    for name in ("a.png", "b.png"):
+        (tmp_path / name).write_bytes(files[name])
+    app.driver.tab("1 Data")
+    with app.driver.page.expect_file_chooser() as chooser:
+        app.driver.click("Open files …")
+    chooser.value.set_files([tmp_path / "a.png", tmp_path / "b.png"])
+    wait_until(lambda: names(app) == ["a.png", "b.png"], "both are added")
+    wait_until(lambda: app.state.undo_name == "Open 2 files", "as one step", 20)
