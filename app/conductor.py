@@ -134,7 +134,11 @@ class Conductor:
             self._send_scene(document)
             self.worker.send(
                 Refine(
-                    start, state.settings, _view(state), document.true_cameras(names)
+                    start,
+                    state.settings,
+                    _view(state),
+                    document.true_cameras(names),
+                    state.freedom,
                 )
             )
 

@@ -10,6 +10,7 @@ from app.run import CurvePoint
 from app.state import Agreement, OverlayStyle, Surface, ThroughStyle
 from app.timing import Speed
 from photoreg.camera import Camera
+from photoreg.freedom import Freedom
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.presets import RegistrationConfig
@@ -76,6 +77,8 @@ class Refine:
     config: RegistrationConfig
     view: OverlayView
     truth: tuple[Camera, ...] | None
+    freedom: Freedom = dataclasses.field(default_factory=Freedom)
+    """What may move."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

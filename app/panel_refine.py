@@ -5,6 +5,7 @@ import viser
 from app.conductor import Conductor
 from app.controls import guarded, guarded_slow, put, put_value
 from app.panel_advanced import AdvancedPanel
+from app.panel_freedom import FreedomPanel
 from app.panel_runs import RunsPanel
 from app.run import PRESET_NAMES, Run
 from app.session import setting
@@ -55,7 +56,6 @@ class RefinePanel:
             visible=False,
         )
         self._bar = gui.add_progress_bar(0.0, visible=False, animated=True)
-        self._text = gui.add_markdown("")
         self._accept = gui.add_button(
             "Accept", icon=viser.Icon.CHECK, color="teal", visible=False
         )
@@ -71,6 +71,8 @@ class RefinePanel:
             color="gray",
             visible=False,
         )
+        self._text = gui.add_markdown("")
+        self._freedom = FreedomPanel(gui, conductor.session)
         self._runs = RunsPanel(gui, conductor)
         self._advanced = AdvancedPanel(gui, conductor.session)
         self._listen()
@@ -130,6 +132,7 @@ class RefinePanel:
             put(button, "visible", review)
         put(self._report, "disabled", self._conductor.comparison is None)
         put(self._text, "content", _report(state, ready))
+        self._freedom.show(state)
         self._runs.show(state)
         self._advanced.show(state)
 
@@ -174,7 +177,7 @@ def _report(state: State, ready: bool) -> str:
             )
         return ""
     if run.status == "review":
-        return f"{_outcome(run)}{_table(run)}{_certainty(run)}\n\nKeep these cameras?"
+        return f"{_outcome(run)}{_table(run)}{_certainty(run)}"
     return f"{_progress(run)}{_table(run)}"
 
 

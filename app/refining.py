@@ -63,7 +63,9 @@ class Refining:
         start_error = true_error(self._mesh, job.truth, job.cameras)
         finished, last, costs, curve = None, None, CostCurve(), []
         sent_at = judged_at = -np.inf
-        for event in refine(self._mesh, self._photos, job.cameras, job.config):
+        for event in refine(
+            self._mesh, self._photos, job.cameras, job.config, job.freedom
+        ):
             self._best = tuple(event.cameras)
             if isinstance(event, Finished):
                 finished = event

@@ -13,6 +13,7 @@ from app.masks import decode_mask, encode_mask
 from app.run import Run
 from app.timing import Speed
 from photoreg.camera import Camera
+from photoreg.freedom import Freedom
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.presets import PresetName, RegistrationConfig
@@ -28,6 +29,7 @@ ThroughStyle = Literal["surface", "wireframe", "lines", "normals", "photo"]
 """What lies over a photo that is looked through: the mesh, drawn in one of four ways,
 or another photo, in the overlay style."""
 GizmoKind = Literal["move", "orbit"]
+HeldPart = Literal["pose", "focal", "principal_point"]
 Surface = Literal["clay", "photos", "disagreement"]
 
 
@@ -229,6 +231,11 @@ class State:
     """The settings of the next run, by name."""
     config: RegistrationConfig | None = None
     """Settings changed against the preset; None: the preset's own."""
+    held: tuple[tuple[str, HeldPart], ...] = ()
+    """What of which photo's camera the next run leaves exactly as it is."""
+    one_focal: bool = False
+    """Whether the photos were taken with one camera at one zoom: they then get one
+    focal length."""
     start_line: float | None = None
     """Where the line is between the start, on the left, and the overlay now, as a share
     of the width; None: no line."""
@@ -255,6 +262,22 @@ class State:
     """The last thing that happened, for the status line."""
     undo_name: str | None = None
     redo_name: str | None = None
+
+    @property
+    def freedom(self) -> Freedom:
+        """What the next run may move, for the photos in use."""
+        names = [entry.name for entry in self.document.used]
+
+        def holding(part: HeldPart) -> list[str]:
+            return [name for name, p in self.held if p == part and name in names]
+
+        return Freedom.of_photos(
+            names,
+            lock_focal=holding("focal"),
+            lock_principal_point=holding("principal_point"),
+            lock_pose=holding("pose"),
+            share_focal=[names] if self.one_focal else (),
+        )
 
     @property
     def settings(self) -> RegistrationConfig:

@@ -48,6 +48,10 @@ LONG_LOOK = 10.0
 ECHO_TOLERANCE = 1e-6
 """The browser answers a pose with itself, to 1e-15; a hand moves it by more."""
 
+HOME_TOLERANCE = 0.02
+"""How near the first view the browser's camera must be to be there, in units of the
+page: it glides, and rests a little before its goal. A hand moves it by more."""
+
 SETTLE_S = 10.0
 """After a pose was set the view glides there, on a slow machine for a while. Until it
 has arrived, or for so long, what it reports is not the user's doing."""
@@ -215,7 +219,7 @@ class Viewport:
             return
         position, aspect = self._at_home
         camera = self.client.camera
-        if np.abs(np.array(camera.position) - position).max() > ECHO_TOLERANCE:
+        if np.abs(np.array(camera.position) - position).max() > HOME_TOLERANCE:
             return  # The user has moved on, or the view is not there yet.
         if abs(camera.image_width / max(camera.image_height, 1) / aspect - 1.0) > 0.02:
             self.go_home(state)

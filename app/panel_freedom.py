@@ -1,0 +1,71 @@
+"""The fold of the Refine tab that says what a run may move."""
+
+import viser
+
+from app.controls import guarded, put, put_value
+from app.session import Session, setting
+from app.state import HeldPart, State
+
+PARTS: dict[HeldPart, str] = {
+    "pose": "Keep place and turn",
+    "focal": "Keep focal length",
+    "principal_point": "Keep principal point",
+}
+
+
+class FreedomPanel:
+    """Ticks a photo for what stays exactly as it is."""
+
+    def __init__(self, gui: viser.GuiApi, session: Session) -> None:
+        self._gui, self._session = gui, session
+        self._names: tuple[str, ...] = ()
+        self._nodes: list[viser.GuiMarkdownHandle] = []
+        self._ticks: dict[tuple[str, HeldPart], viser.GuiCheckboxHandle] = {}
+        self._fold = gui.add_folder("What may move", expand_by_default=False)
+        with self._fold:
+            gui.add_markdown(
+                "All of every camera moves, but for what is ticked here. A camera that "
+                "is kept whole still guides the others."
+            )
+            self._one_focal = gui.add_checkbox(
+                "One focal length",
+                False,
+                hint="The photos were taken with one camera at one zoom.",
+            )
+
+        @self._one_focal.on_update
+        @guarded
+        def _(_: viser.GuiEvent) -> None:
+            session.change(None, setting(one_focal=self._one_focal.value))
+
+    def show(self, state: State) -> None:
+        """Makes the ticks as ``state`` has them."""
+        names = tuple(entry.name for entry in state.document.used)
+        if names != self._names:
+            self._names = names
+            self._rebuild()
+        put(self._fold, "visible", state.run.status == "idle" and len(names) > 1)
+        put_value(self._one_focal, state.one_focal)
+        for key, tick in self._ticks.items():
+            put_value(tick, key in state.held)
+
+    def _rebuild(self) -> None:
+        for node in (*self._nodes, *self._ticks.values()):
+            node.remove()
+        self._nodes, self._ticks = [], {}
+        with self._fold:
+            for number, name in enumerate(self._names, 1):
+                self._nodes.append(self._gui.add_markdown(f"**{number}. {name}**"))
+                for part, label in PARTS.items():
+                    tick = self._gui.add_checkbox(label, False)
+                    self._ticks[name, part] = tick
+                    self._listen(tick, (name, part))
+
+    def _listen(self, tick: viser.GuiCheckboxHandle, key: tuple[str, HeldPart]) -> None:
+        @tick.on_update
+        @guarded
+        def _(_: viser.GuiEvent) -> None:
+            held = [other for other in self._session.state.held if other != key]
+            if tick.value:
+                held.append(key)
+            self._session.change(None, setting(held=tuple(held)))
