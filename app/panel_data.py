@@ -2,14 +2,18 @@
 
 import base64
 import html
+import math
 
 import cv2
 import viser
 
-from app.bus import Bus
+from app import photo_list
+from app.bus import Bus, Values, sending
 from app.conductor import Conductor
-from app.controls import confirm, guarded, guarded_slow, put, put_value
-from app.session import select, setting, with_entry, with_photo_removed
+from app.controls import guarded, guarded_slow, put, put_value
+from app.placement import guessed_focal_px
+from app.points import index_of_photo
+from app.session import select, setting
 from app.state import PhotoEntry, State
 
 THUMBNAIL_PX = 160
@@ -21,25 +25,20 @@ class DataPanel:
     def __init__(self, gui: viser.GuiApi, conductor: Conductor, bus: Bus) -> None:
         self._thumbnails: dict[int, tuple[object, str]] = {}
         self._card_key: object = None
-        session = conductor.session
+        self._session = session = conductor.session
         gui.add_markdown("A scanned surface, and the photos to lay onto it.")
         self._mesh_card = gui.add_html("")
         self._photo_cards = gui.add_html("")
         self._open = gui.add_html("")
-        with gui.add_folder(
-            "Selected photo", expand_by_default=False
-        ) as self._selected:
-            self._choice = gui.add_dropdown("Photo", photo_options(session.state))
-            self._enabled = gui.add_checkbox(
-                "In use", True, hint="Refinement and texture leave out the others."
-            )
-            self._remove = gui.add_button(
-                "Remove this photo", icon=viser.Icon.TRASH, color="gray"
-            )
         with gui.add_folder("Demo and page", expand_by_default=False):
             self._demo = gui.add_button("Open the demo", icon=viser.Icon.SPARKLES)
             self._dark = gui.add_checkbox("Dark page", True)
 
+        bus.on("select", lambda values, _: self._select(str(values["photo"])))
+        bus.on("rename", self._on_rename)
+        bus.on("enable", self._on_enable)
+        bus.on("shift", self._on_shift)
+        bus.on("remove", self._on_remove)
         bus.on(
             "batch",
             lambda values, client: conductor.intake.expect(
@@ -60,61 +59,49 @@ class DataPanel:
         def _(_: viser.GuiEvent) -> None:
             conductor.open_demo()
 
-        @self._choice.on_update
-        @guarded
-        def _(_: viser.GuiEvent) -> None:
-            session.change(None, select(index_of(session.state, self._choice.value)))
-
-        @self._enabled.on_update
-        @guarded
-        def _(_: viser.GuiEvent) -> None:
-            index = session.state.selected
-            name = "Use photo" if self._enabled.value else "Leave out photo"
-            session.change(
-                f"{name} {index + 1}", with_entry(index, enabled=self._enabled.value)
-            )
-
-        @self._remove.on_click
-        @guarded
-        def _(event: viser.GuiEvent) -> None:
-            entry, index = session.state.selected_photo, session.state.selected
-            if entry is None or event.client is None:
-                return
-            confirm(
-                event.client,
-                "Remove this photo?",
-                f"**{entry.name}** and its camera leave the scene. The file on disk "
-                "stays, and Undo brings it back.",
-                "Remove",
-                lambda: (
-                    session.change(f"Remove {entry.name}", with_photo_removed(index)),
-                    None,
-                )[1],
-            )
-
         @self._dark.on_update
         @guarded
         def _(_: viser.GuiEvent) -> None:
             session.change(None, setting(dark=self._dark.value))
 
+    # What is done in the cards.
+
+    def _select(self, name: str) -> None:
+        index = index_of_photo(self._session.state, name)
+        self._session.change(None, select(index))
+
+    def _on_rename(self, values: Values, _: viser.ClientHandle) -> None:
+        old, new = str(values["photo"]), str(values["name"])
+        self._session.change(f"Rename {old}", photo_list.renamed(old, new))
+
+    def _on_enable(self, values: Values, _: viser.ClientHandle) -> None:
+        name, on = str(values["photo"]), bool(values["on"])
+        step = f"{'Use' if on else 'Leave out'} {name}"
+        self._session.change(step, photo_list.enabled(name, on))
+
+    def _on_shift(self, values: Values, _: viser.ClientHandle) -> None:
+        name, by = str(values["photo"]), int(values["by"])
+        self._session.change(f"Move {name} in the list", photo_list.shifted(name, by))
+
+    def _on_remove(self, values: Values, _: viser.ClientHandle) -> None:
+        name = str(values["photo"])
+        self._session.change(f"Remove {name}", photo_list.removed(name))
+
+    # What is shown.
+
     def show(self, state: State) -> None:
         """Makes the controls as ``state`` has them."""
         busy = state.run.status != "idle" or state.job is not None
         put(self._open, "content", _opening_html(state, busy))
-        for control in (self._demo, self._remove):
-            put(control, "disabled", busy)
-        put(self._selected, "visible", bool(state.document.photos))
+        put(self._demo, "disabled", busy)
         put_value(self._dark, state.dark)
-        options = photo_options(state)
-        put(self._choice, "options", options)
-        if state.selected_photo is not None:
-            put_value(self._choice, options[state.selected])
-            put_value(self._enabled, state.selected_photo.enabled)
         key = (
             state.document.mesh,
             state.selected,
+            busy,
             tuple(
-                (e.photo, e.enabled, round(e.camera.focal_px, 1)) for e in state.photos
+                (e.photo, e.enabled, e.mask_png, len(e.pairs), focal_text(e))
+                for e in state.photos
             ),
         )
         if _same(key, self._card_key):
@@ -122,30 +109,85 @@ class DataPanel:
         self._card_key = key
         put(self._mesh_card, "content", _mesh_card(state))
         cards = "".join(
-            self._card(i, entry, i == state.selected)
-            for i, entry in enumerate(state.photos)
+            self._card(i, entry, state, busy) for i, entry in enumerate(state.photos)
         )
         put(self._photo_cards, "content", f'<div style="{_COLUMN}">{cards}</div>')
 
-    def _card(self, index: int, entry: PhotoEntry, selected: bool) -> str:
+    def _card(self, index: int, entry: PhotoEntry, state: State, busy: bool) -> str:
         known = self._thumbnails.get(index)
         if known is None or known[0] is not entry.photo:
             known = (entry.photo, _thumbnail(entry))
             self._thumbnails[index] = known
-        edge = "#2dbeaf" if selected else "transparent"
-        faded = "" if entry.enabled else "opacity:.45;"
-        use = "" if entry.enabled else " · not in use"
+        name = html.escape(entry.name, quote=True)
+        edge = "#2dbeaf" if index == state.selected else "transparent"
+        faded = "" if entry.enabled else "opacity:.5;"
+        facts = [f"{entry.photo.width} × {entry.photo.height} px"]
+        if entry.pairs:
+            facts.append(f"{len(entry.pairs)} points")
+        if entry.mask_png is not None:
+            facts.append("mask")
+        last = index == len(state.photos) - 1
+        rename = (
+            "event.stopPropagation();const c=this.closest('[data-photo]');"
+            "photoreg.rename(c.querySelector('.pr-name'),c.dataset.photo)"
+        )
+        buttons = (
+            _button("▲", f"Move {name} up", busy or index == 0, "shift", entry, by=-1)
+            + _button("▼", f"Move {name} down", busy or last, "shift", entry, by=1)
+            + _button(
+                "In use" if entry.enabled else "Not in use",
+                f"{'Leave out' if entry.enabled else 'Use'} {name}",
+                busy,
+                "enable",
+                entry,
+                on=not entry.enabled,
+            )
+            + f'<button title="Rename {name}" aria-label="Rename {name}" '
+            f'style="{_SMALL}" {"disabled" if busy else ""} onclick="{rename}">✎'
+            "</button>" + _button("✕", f"Remove {name}", busy, "remove", entry)
+        )
         return (
-            f'<div style="{_CARD}{faded}border-left:3px solid {edge}">'
-            f'<img src="{known[1]}" style="width:64px;height:48px;object-fit:cover;'
-            'border-radius:4px">'
-            f'<div style="min-width:0"><div style="{_NAME}">{index + 1}. '
-            f'{html.escape(entry.name)}</div><div style="{_FACTS}">'
-            f"{entry.photo.width} × {entry.photo.height} px · "
-            f"f {entry.camera.focal_px:.0f} px{use}</div></div></div>"
+            f'<div role="button" aria-label="Photo {name}" data-photo="{name}" '
+            f'aria-pressed="{str(index == state.selected).lower()}" '
+            f'style="{_CARD}cursor:pointer;border-left:3px solid {edge}" '
+            f'onclick="{sending("select", photo=entry.name)}">'
+            f'<img src="{known[1]}" alt="" style="width:64px;height:56px;'
+            f'object-fit:cover;border-radius:4px;{faded}">'
+            f'<div style="min-width:0;flex:1"><div style="{_NAME};{faded}" '
+            f'class="pr-name" title="{name}">{index + 1}. {html.escape(entry.name)}'
+            f'</div><div style="{_FACTS};line-height:1.35">{" · ".join(facts)}<br>'
+            f"{html.escape(focal_text(entry))}</div>"
+            f'<div style="display:flex;gap:3px;margin-top:4px">{buttons}</div>'
+            "</div></div>"
         )
 
 
+def focal_text(entry: PhotoEntry) -> str:
+    """The focal length and, while it is as it was loaded, where it came from."""
+    focal_px, photo = entry.camera.focal_px, entry.photo
+    text = f"f {focal_px:.0f} px"
+    if photo.exif_focal_px is not None:
+        at_start, where = photo.exif_focal_px, "by EXIF"
+    else:
+        at_start, where = guessed_focal_px(photo), "a guess: no EXIF"
+    return f"{text}, {where}" if math.isclose(focal_px, at_start) else text
+
+
+def _button(
+    text: str, title: str, disabled: bool, act: str, entry: PhotoEntry, **values: object
+) -> str:
+    return (
+        f'<button title="{title}" aria-label="{title}" style="{_SMALL}'
+        f'{";opacity:.35;cursor:default" if disabled else ""}" '
+        f"{'disabled' if disabled else ''} "
+        f'onclick="{sending(act, photo=entry.name, **values)}">{text}</button>'
+    )
+
+
+_SMALL = (
+    "font:inherit;font-size:11px;color:inherit;background:rgba(128,140,155,.2);"
+    "border:0;border-radius:4px;padding:1px 6px;cursor:pointer;line-height:1.5"
+)
 _COLUMN = "display:flex;flex-direction:column;gap:6px;margin:2px 12px 4px"
 _CARD = (
     "display:flex;gap:10px;align-items:center;padding:6px 8px;border-radius:6px;"

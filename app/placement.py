@@ -64,6 +64,12 @@ class DisplayFrame:
         )
 
 
+def guessed_focal_px(photo: Photo) -> float:
+    """The focal length that a first camera has where EXIF does not tell, in pixels."""
+    half = np.tan(np.radians(FIRST_FIELD_OF_VIEW_DEG) / 2)
+    return 0.5 * max(photo.width, photo.height) / float(half)
+
+
 def first_camera(
     mesh: Mesh | None,
     photo: Photo,
@@ -77,8 +83,7 @@ def first_camera(
     """
     focal_px = photo.exif_focal_px
     if focal_px is None:
-        half = np.tan(np.radians(FIRST_FIELD_OF_VIEW_DEG) / 2)
-        focal_px = 0.5 * max(photo.width, photo.height) / float(half)
+        focal_px = guessed_focal_px(photo)
     up_axis = np.array(up) / np.linalg.norm(up)
     if mesh is None:
         target, toward = np.zeros(3), _horizontal(np.array([0.0, 0.0, 1.0]), up_axis)

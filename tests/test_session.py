@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from app import photo_list
 from app import session as rules
 from app.run import Run, Status
 from app.session import Session
@@ -140,6 +141,50 @@ def test_a_photo_of_a_taken_name_gets_a_number(session):
     names = [e.name for e in session.state.document.photos]
     assert names == ["toy-0.png", "toy-1.png", "toy-0-2.png", "toy-0-3.png"]
     assert session.state.selected == 3
+
+
+def names(session: Session) -> list[str]:
+    return [entry.name for entry in session.state.document.photos]
+
+
+def test_a_photo_moved_in_the_list_stays_selected_and_stops_at_the_ends(session):
+    before = session.state.document
+    assert session.change("Move", photo_list.shifted("toy-0.png", 1))
+    assert names(session) == ["toy-1.png", "toy-0.png"]
+    assert session.state.selected == 1, "the selected photo stays selected"
+    assert not session.change("Move", photo_list.shifted("toy-0.png", 1))
+    assert session.state.document.used_cameras[1] is before.photos[0].camera
+    session.undo()
+    assert session.state.document is before
+
+
+def test_a_new_name_takes_everything_along_and_must_be_free(session):
+    entry = session.state.document.photos[0]
+    session.change("Truth", rules.with_document(truth=(("toy-0.png", entry.camera),)))
+    session.change("Rename", photo_list.renamed("toy-0.png", "  left side.png "))
+    renamed = session.state.document.photos[0]
+    assert names(session) == ["left side.png", "toy-1.png"]
+    assert renamed.photo.pixels is entry.photo.pixels
+    assert renamed.camera is entry.camera
+    assert session.state.document.true_cameras(["left side.png"]) == (entry.camera,)
+    document = session.state.document
+    for bad in ("toy-1.png", "", "a/b.png", "x" * 200, "two\nlines"):
+        with pytest.raises(InputError):
+            session.change("Rename", photo_list.renamed("left side.png", bad))
+    with pytest.raises(InputError, match="no photo gone"):
+        session.change("Remove", photo_list.removed("gone.png"))
+    assert session.state.document is document
+
+
+def test_photos_are_left_out_and_removed_by_name(session):
+    before = session.state.document
+    session.change("Leave out", photo_list.enabled("toy-0.png", False))
+    assert [e.name for e in session.state.document.used] == ["toy-1.png"]
+    session.change("Remove", photo_list.removed("toy-0.png"))
+    assert names(session) == ["toy-1.png"]
+    session.undo()
+    session.undo()
+    assert session.state.document is before
 
 
 def run_of(document: Document, status: Status) -> Run:
