@@ -4,6 +4,7 @@ A photo of 50 megapixels has a mask of 50 MB, and undo keeps many; as PNG it is 
 kilobytes. No viser here.
 """
 
+import io
 import itertools
 from collections.abc import Sequence
 from pathlib import Path
@@ -94,18 +95,23 @@ def load_mask(path: Path, width: int, height: int) -> bytes | None:
     Raises:
         InputError: if it is no picture, or of another shape than the photo.
     """
+    return mask_of(path.name, path.read_bytes(), width, height)
+
+
+def mask_of(name: str, content: bytes, width: int, height: int) -> bytes | None:
+    """The same of the content of a file."""
     try:
-        with Image.open(path, formats=("JPEG", "PNG", "TIFF")) as image:
+        with Image.open(io.BytesIO(content), formats=("JPEG", "PNG", "TIFF")) as image:
             size = image.size
             has_alpha = "A" in image.getbands() or "transparency" in image.info
             rgba = image.convert("RGBA")
     except Exception as error:
         raise InputError(
-            f"{path.name} could not be read as a JPEG, PNG or TIFF picture."
+            f"{name} could not be read as a JPEG, PNG or TIFF picture."
         ) from error
     if abs(size[0] * height - size[1] * width) > max(*size, width, height):
         raise InputError(
-            f"The mask {path.name} is {size[0]}x{size[1]} px, but the photo is "
+            f"The mask {name} is {size[0]}x{size[1]} px, but the photo is "
             f"{width}x{height} px: the shapes should be the same."
         )
     grey = np.asarray(rgba.convert("L"))
@@ -118,7 +124,7 @@ def load_mask(path: Path, width: int, height: int) -> bytes | None:
         ).astype(bool)
     if not mask.any():
         raise InputError(
-            f"The mask {path.name} is dark all over: nothing of the photo would count. "
+            f"The mask {name} is dark all over: nothing of the photo would count. "
             "It should be white where the photo counts."
         )
     return encode_mask(mask)

@@ -12,8 +12,8 @@ import viser
 from app import points
 from app.bus import Bus, Values, mounted, sending
 from app.conductor import Conductor
-from app.controls import guarded, notify, put, put_value
-from app.masks import painted_mask
+from app.controls import guarded, guarded_slow, notify, put, put_value
+from app.masks import mask_of, painted_mask
 from app.panel_data import index_of, photo_options
 from app.pictures import Pictures
 from app.placement import DisplayFrame
@@ -21,6 +21,7 @@ from app.session import select, setting, with_entry
 from app.state import State
 from photoreg.camera import Camera
 from photoreg.errors import InputError
+from photoreg.photo import PHOTO_SUFFIXES
 from photoreg.resection import N_FOCAL, N_POSE, N_PRINCIPAL
 
 SUSPECT_FACTOR = 3.0
@@ -69,6 +70,14 @@ class PointsPanel:
             color="gray",
             visible=False,
         )
+        self._mask = gui.add_upload_button(
+            "Load a mask",
+            icon=viser.Icon.CIRCLE_HALF_2,
+            color="gray",
+            mime_type=",".join(PHOTO_SUFFIXES),
+            hint="A picture of the photo's shape: dark or transparent where this photo "
+            "does not count. Leave out and Bring back, above, paint it.",
+        )
         gui.add_markdown(
             "Wheel zooms, dragging pans, **Delete** removes the marker in focus; a "
             "click on a marker, then elsewhere, puts it there."
@@ -115,6 +124,11 @@ class PointsPanel:
                     f"Take the points of {other}",
                     points.with_surface_points_of(entry.name, other),
                 )
+
+        @self._mask.on_upload
+        @guarded_slow
+        def _(event: viser.GuiEvent) -> None:
+            self._load_mask(event.target.value.name, event.target.value.content)
 
         @self._clear.on_click
         @guarded
@@ -217,6 +231,19 @@ class PointsPanel:
 
         threading.Thread(target=paint, daemon=True).start()
 
+    def _load_mask(self, name: str, content: bytes) -> None:
+        entry = self._session.state.selected_photo
+        if entry is None:
+            raise InputError("There is no photo yet. Add one in the Data tab.")
+        plain = name.replace("\\", "/").rpartition("/")[2] or "mask"
+        png = mask_of(plain, content, entry.photo.width, entry.photo.height)
+
+        def change(state: State) -> State:
+            index = points.index_of_photo(state, entry.name)
+            return with_entry(index, mask_png=png)(state)
+
+        self._session.change(f"Load the mask {plain}", change)
+
     def _on_unmask(self, values: Values, _: viser.ClientHandle) -> None:
         index = points.index_of_photo(self._session.state, str(values["photo"]))
         self._session.change(
@@ -235,6 +262,7 @@ class PointsPanel:
             put_value(self._choice, options[state.selected])
         n_whole = 0 if entry is None else len(entry.whole_pairs)
         put(self._solve, "disabled", n_whole < N_POSE or not idle)
+        put(self._mask, "disabled", entry is None or not idle)
         put(self._clear, "visible", entry is not None and bool(entry.pairs) and idle)
         put(self._copy, "visible", _other_with_points(state) is not None and idle)
         rows = pair_rows(state)

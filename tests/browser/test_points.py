@@ -1,0 +1,179 @@
+"""Cameras by points and masks by brush, with real mouse and keyboard in the picker."""
+
+import dataclasses
+
+import cv2
+import numpy as np
+import pytest
+
+from app.masks import decode_mask
+from app.session import select, setting, with_document
+from photoreg.evaluate import projection_error
+from tests.browser.driver import Driver, wait_until
+
+
+@pytest.fixture(scope="module")
+def running(open_app_once, toy_document):
+    """One app for the tests of this file; it takes seconds to start."""
+    app = open_app_once(toy_document)
+    app.driver.dismiss_toasts()
+    app.driver.tab("Points")
+    return app
+
+
+@pytest.fixture
+def app(running, toy_document):
+    """The photos without points and masks; the first camera stands where the other is."""
+    entry, other = toy_document.photos
+    entry = dataclasses.replace(entry, camera=other.camera)
+    running.session.change("Open", with_document(photos=(entry, other)))
+    running.session.change(None, setting(live_solve=False, chosen_pair=None))
+    running.session.change(None, select(0))
+    running.driver.page.wait_for_function("() => photoreg.picker.ready()")
+    running.driver.frames(3)
+    return running
+
+
+def entry_of(app):
+    return app.state.document.photos[0]
+
+
+def in_picker(driver: Driver, pixel) -> list[float]:
+    """Window pixels of a pixel of the photo."""
+    pixel = [float(v) for v in pixel]
+    return driver.page.evaluate("p => photoreg.picker.toClient(...p)", pixel)
+
+
+def places_to_click(app, camera, n: int) -> list[tuple[tuple[int, int], np.ndarray]]:
+    """Far apart, window pixels over the model that the photo sees, and where it does."""
+    driver, frame = app.driver, app.page.scene.frame
+    mesh = app.state.document.mesh
+    position, R_page_cam, view_rad = driver.viewport_camera()
+    canvas = driver.canvas()
+    focal = 0.5 * canvas["height"] / np.tan(0.5 * view_rad)
+    middle = (canvas["x"] + canvas["width"] / 2, canvas["y"] + canvas["height"] / 2)
+    x, y = np.meshgrid(
+        np.arange(int(canvas["x"]) + 20, int(canvas["x"] + canvas["width"]) - 20, 12),
+        np.arange(int(canvas["y"]) + 20, int(canvas["y"] + canvas["height"]) - 20, 12),
+    )
+    spots = np.stack([x.ravel(), y.ravel()], axis=1)
+    rays = np.column_stack([(spots - middle) / focal, np.ones(len(spots))])
+    rays = rays @ R_page_cam.T
+    start = np.repeat(frame.to_world(position)[None], len(rays), axis=0)
+    faces, distances = mesh.first_hits(start, rays)
+    hit = faces >= 0
+    spots, world = spots[hit], (start + distances[:, None] * rays)[hit]
+    ways = world - camera.center
+    starts = np.repeat(camera.center[None], len(ways), axis=0)
+    _, seen_at = mesh.first_hits(starts, ways)
+    pixels = camera.project(world)
+    good = (np.abs(seen_at - 1.0) < 1e-3) & camera.contains(pixels)
+    spots, pixels, world = spots[good], pixels[good], world[good]
+    assert len(spots) > 3 * n, "model and photo share much of the surface"
+    chosen = [0]
+    while len(chosen) < n:
+        apart = np.linalg.norm(world[:, None] - world[chosen][None], axis=2)
+        chosen.append(int(np.argmax(apart.min(axis=1))))
+    return [((int(spots[i][0]), int(spots[i][1])), pixels[i]) for i in chosen]
+
+
+def test_six_pairs_clicked_in_photo_and_model_place_the_camera(app, toy_document):
+    driver, true = app.driver, toy_document.photos[0].camera
+
+    def error_px() -> float:
+        mesh = toy_document.mesh
+        return projection_error(mesh, [true], [entry_of(app).camera]).mean
+
+    before = error_px()
+    places = places_to_click(app, true, 6)
+    for i, (spot, pixel) in enumerate(places, 1):
+        driver.page.mouse.click(*in_picker(driver, pixel))
+        wait_until(
+            lambda i=i: len(entry_of(app).pairs) == i, f"point {i} in the photo", 30
+        )
+        driver.page.mouse.click(*spot)
+        wait_until(
+            lambda i=i: len(entry_of(app).whole_pairs) == i,
+            f"point {i} on the model",
+            30,
+        )
+    clicked = np.array([pair.pixel for pair in entry_of(app).pairs])
+    off = np.abs(clicked - [pixel for _, pixel in places]).max()
+    assert off < 0.5, f"a click lands {off:.2f} px off"
+    driver.click("Solve")
+    wait_until(lambda: app.state.undo_name == "Solve camera 1", "it is solved", 30)
+    assert error_px() < 1.0 < 5.0 < before, f"{before:.1f} to {error_px():.2f} px"
+
+    # Live: a marker dragged off its place tells, and undo brings it back.
+    app.session.change(None, setting(live_solve=True))
+    solved, (u, v) = app.state.document, clicked[2]
+    scale = driver.page.evaluate("() => photoreg.picker.scale()")
+    start = in_picker(driver, (u, v))
+    driver.drag((start[0], start[1]), (-12.0 * scale, 0.0))
+    wait_until(
+        lambda: app.state.undo_name == "Move point 3 of photo 1", "it is moved", 30
+    )
+    dragged = entry_of(app).pairs[2].pixel
+    assert np.abs(np.subtract(dragged, (u - 12.0, v))).max() < 1.0
+    driver.page.keyboard.press("Control+z")
+    wait_until(lambda: app.state.document is solved, "one step back undoes it", 30)
+
+    # A marker in focus goes by the Delete key, another by its cross in the table.
+    app.session.change(None, setting(live_solve=False))
+    driver.page.locator(".pr-mark[data-number='2']").focus()
+    driver.page.keyboard.press("Delete")
+    wait_until(
+        lambda: [p.number for p in entry_of(app).pairs] == [1, 3, 4, 5, 6],
+        "point 2 is deleted",
+        30,
+    )
+    driver.click("Delete point 5")
+    wait_until(
+        lambda: [p.number for p in entry_of(app).pairs] == [1, 3, 4, 6],
+        "point 5 is deleted",
+        30,
+    )
+
+
+def test_a_mask_is_painted_with_the_mouse_and_undone(app):
+    driver, before = app.driver, app.state.document
+    driver.page.get_by_role("button", name="Leave out", exact=True).click()
+    start, end = in_picker(driver, (40, 60)), in_picker(driver, (100, 60))
+    driver.drag((start[0], start[1]), (end[0] - start[0], 0.0))
+    wait_until(
+        lambda: app.state.undo_name == "Paint the mask of photo 1", "it is painted", 30
+    )
+    png = entry_of(app).mask_png
+    assert png is not None
+    mask = decode_mask(png)
+    assert not mask[60, 42:98].any(), "left out along the stroke"
+    assert mask[:20].all()
+    assert mask[100:].all(), "and nowhere else"
+    driver.page.get_by_role("button", name="Bring back", exact=True).click()
+    driver.drag((start[0], start[1]), (end[0] - start[0], 0.0))
+    wait_until(lambda: entry_of(app).mask_png is None, "all counts again", 30)
+    driver.page.keyboard.press("Control+z")
+    wait_until(lambda: entry_of(app).mask_png == png, "undo brings the mask back", 30)
+    driver.page.keyboard.press("Control+z")
+    wait_until(lambda: app.state.document is before, "and then takes it away", 30)
+    driver.page.get_by_role("button", name="Points", exact=True).click()
+
+
+def test_a_mask_is_loaded_from_a_picture_of_the_photo_s_shape(app, tmp_path):
+    picture = np.zeros((120, 160), np.uint8)
+    picture[:, 80:] = 255
+    cv2.imwrite(str(tmp_path / "mask.png"), picture)
+    cv2.imwrite(str(tmp_path / "square.png"), picture[:, :120])
+    before = app.state.document
+
+    def load(name: str) -> None:
+        with app.driver.page.expect_file_chooser() as chooser:
+            app.driver.click("Load a mask")
+        chooser.value.set_files(tmp_path / name)
+
+    load("square.png")
+    app.driver.page.get_by_text("the shapes should be the same").wait_for()
+    assert app.state.document is before
+    load("mask.png")
+    wait_until(lambda: app.state.undo_name == "Load the mask mask.png", "loaded", 30)
+    assert (decode_mask(entry_of(app).mask_png) == (picture > 0)).all()
