@@ -68,6 +68,11 @@ class RegistrationConfig:
     times the mean square of the genes (1: the ends of the box). Photos agree nearly as
     well when both cameras slide together over the surface; this keeps them where they
     were put. 0: none, as in the paper."""
+    foreground: float = 1.0
+    """Weight in the search, 0 or more, of whether the object lies where each photo has
+    the object's colours, relative to the colours' disagreement at the start. Without
+    it cameras slide onto a background that looks the same everywhere. 0: none, as in
+    the paper."""
     polish_after: bool = True
     """Whether the polish follows the search."""
     polish: PolishConfig = POLISH
@@ -80,6 +85,8 @@ class RegistrationConfig:
             raise InputError(f"samples is {self.samples}; give at least 10.")
         if not 0.0 <= self.pull < np.inf:
             raise InputError(f"pull is {self.pull}; give 0 or more.")
+        if not 0.0 <= self.foreground < np.inf:
+            raise InputError(f"foreground is {self.foreground}; give 0 or more.")
 
     @classmethod
     def preset(
@@ -136,6 +143,7 @@ class RegistrationConfig:
                 ),
                 genetic=GeneticConfig(),
                 pull=0.0,
+                foreground=0.0,
                 polish_after=False,
             )
         raise InputError(

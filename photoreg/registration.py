@@ -2,7 +2,7 @@
 
 import dataclasses
 import time
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from photoreg.checkpoint import Checkpoint, problem_digest
 from photoreg.consistency import PhotoConsistency, patches_of
 from photoreg.errors import InputError, RefinementError
 from photoreg.events import Event, Finished, Phase, Population, Progress
+from photoreg.foreground import Foreground
 from photoreg.freedom import Freedom
 from photoreg.genes import GeneMap
 from photoreg.genetic import Generation, evolve
@@ -231,6 +232,27 @@ class _Run:
                 visible(consistency.samples, cameras, self.mesh, method, min_cosine=0.0)
             )
 
+    def _search_cost(
+        self, consistency: PhotoConsistency, gene_map: GeneMap
+    ) -> Callable[[np.ndarray], np.ndarray]:
+        """Cost of genes: colours that differ, object off its colours, far from start."""
+        pull, share = self.config.pull, self.config.foreground
+        if share == 0.0:
+            return lambda genes: (
+                consistency.costs(genes, gene_map)
+                * (1.0 + pull * np.mean(genes**2, axis=1))
+            )
+        foreground = Foreground(self.mesh, self.photos, self.start, self.config.seed)
+        # In units of the colours' cost: as the start has it, all of it disagreement.
+        unit = share * consistency.cost(self.start)
+        return lambda genes: (
+            (
+                consistency.costs(genes, gene_map)
+                + unit * foreground.misfits(genes, gene_map)
+            )
+            * (1.0 + pull * np.mean(genes**2, axis=1))
+        )
+
     def _search(
         self, consistency: PhotoConsistency, gene_map: GeneMap
     ) -> Iterator[Progress]:
@@ -239,10 +261,7 @@ class _Run:
         share = SEARCH_SHARE if config.polish_after else 1.0
         kept = last = self._gone_on(consistency, gene_map)
         for last in evolve(
-            lambda genes: (
-                consistency.costs(genes, gene_map)
-                * (1.0 + config.pull * np.mean(genes**2, axis=1))
-            ),
+            self._search_cost(consistency, gene_map),
             lambda n, rng: gene_map.first_population(
                 n, rng, config.tie_focal_to_distance
             ),
