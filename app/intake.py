@@ -4,6 +4,7 @@ The worker reads one file at a time. What came together is one undo step.
 """
 
 import dataclasses
+import functools
 import itertools
 import tempfile
 from collections.abc import Callable
@@ -18,6 +19,7 @@ from app.worker import Worker
 from photoreg.errors import InputError, PhotoregError
 from photoreg.mesh import MESH_SUFFIXES
 from photoreg.photo import PHOTO_SUFFIXES
+from photoreg.project_files import keep_file, plain_name
 
 KINDS = (MESH_SUFFIXES, PHOTO_SUFFIXES, (".json",))
 """In the order in which they are opened: cameras are matched to photos that are there."""
@@ -40,6 +42,10 @@ class Intake:
         self._must_be_idle = must_be_idle
         self._on_problem = on_problem
         self._folder = tempfile.TemporaryDirectory(prefix="photoreg-")
+        self.keep_file: Callable[[str, bytes], Path] = functools.partial(
+            keep_file, Path(self._folder.name)
+        )
+        """Where the files go; with a project, into it."""
         self._count = itertools.count(1)
         self._expected: dict[int, int] = {}
         self._received: dict[int, list[Path]] = {}
@@ -157,18 +163,14 @@ class Intake:
 
     def _keep(self, name: str, content: bytes) -> Path:
         # Only the last part of the name: a path must not leave the folder.
-        plain = name.replace("\\", "/").rpartition("/")[2].strip() or "file"
+        plain = plain_name(name)
         if _kind(Path(plain)) == len(KINDS):
             suffixes = ", ".join(suffix for kind in KINDS for suffix in kind)
             raise InputError(
                 f"{plain} is not a file photoreg opens: the suffix should be one of "
                 f"{suffixes}."
             )
-        folder = Path(self._folder.name) / str(next(self._count))
-        folder.mkdir()
-        path = folder / plain
-        path.write_bytes(content)
-        return path
+        return self.keep_file(plain, content)
 
 
 def _kind(path: Path) -> int:

@@ -11,15 +11,19 @@ from pathlib import Path
 
 from app.conductor import Conductor
 from app.opening import demo_folder, open_files, open_folder, with_camera_file
+from app.projects import Projects
 from app.server import Page
 from app.session import Session
-from app.state import Document, State
+from app.state import Document
+from photoreg.errors import InputError, OutputError
+from photoreg.project import DATABASE
 
 
 def run_app(
     files: Sequence[Path] = (),
     cameras: Path | None = None,
     *,
+    project: Path | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
     open_browser: bool = True,
@@ -29,6 +33,8 @@ def run_app(
     Args:
         files: A mesh and photos, or one folder with both; empty for the demo.
         cameras: Cameras of the photos, a photoreg camera file.
+        project: Folder of the project: opened where it is one, made where not; None:
+            a new one in the user's data folder.
         host: Address to listen on.
         port: Port to listen on; the next free one is taken when it is busy.
         open_browser: Whether to open the page, where there is a browser.
@@ -37,11 +43,15 @@ def run_app(
         InputError: if a file is missing or not valid.
     """
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
-    document = open_document(files, cameras)
-    session = Session(State(document=document))
-    conductor = Conductor(session)
-    page = Page(session, conductor, host, port)
+    session = Session()
+    projects = Projects(session)
+    conductor = page = None
     try:
+        open_project(projects, files, cameras, project)
+        conductor = Conductor(session)
+        if projects.current is not None and not projects.is_read_only:
+            conductor.intake.keep_file = projects.current.keep_file
+        page = Page(session, conductor, host, port)
         if page.port != port and port != 0:
             _say(f"Port {port} is taken, so photoreg uses {page.port}.")
         shown = "127.0.0.1" if host in ("", "0.0.0.0") else host
@@ -51,10 +61,53 @@ def run_app(
             webbrowser.open(address)
         _wait_for_the_end()
     finally:
-        page.close()
-        conductor.close()
+        if page is not None:
+            page.close()
+        if conductor is not None:
+            conductor.close()
+        projects.close()
     _say("Stopped.")
     return 0
+
+
+def open_project(
+    projects: Projects,
+    files: Sequence[Path],
+    cameras: Path | None,
+    folder: Path | None,
+) -> None:
+    """Opens a project as it was left, or begins one with files or the demo.
+
+    Raises:
+        InputError: if the project or a file cannot be used as it is.
+        OutputError: if the named folder cannot be written.
+    """
+    if folder is not None and (folder / DATABASE).exists():
+        if files or cameras is not None:
+            raise InputError(
+                f"{folder} holds a project already. Open it without other files, or "
+                "name another folder for them."
+            )
+        projects.open(folder)
+        if projects.problems:
+            sentences = " ".join(problem.sentence for problem in projects.problems)
+            raise InputError(
+                f"{sentences} Put back what the project was made with, then open it "
+                "again; nothing was changed."
+            )
+    else:
+        document = open_document(files, cameras)
+        try:
+            projects.new(document, folder)
+        except OutputError as error:
+            if folder is not None:
+                raise
+            _say(f"{error} Nothing will be kept when photoreg ends.")
+            projects.begin_unkept(document)
+            return
+    if projects.current is not None:
+        kept = projects.current
+        _say(kept.read_only or f"Your work is kept in {kept.folder}.")
 
 
 def open_document(files: Sequence[Path], cameras: Path | None) -> Document:

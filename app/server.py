@@ -312,7 +312,9 @@ def travel_tools(state: State) -> list[Tool]:
 def status_line(state: State) -> str:
     """What is going on, in one line that is always on screen."""
     run = state.run
-    if state.job is not None:
+    if state.saving:
+        colour, text = "#e5484d", state.saving
+    elif state.job is not None:
         colour, text = "#e8a33d", f"{state.job.title} …"
     elif run.is_active:
         colour, text = "#e8a33d", f"Refining: {run.step or 'starting'}"

@@ -5,19 +5,31 @@ click changes the state and nothing else.
 """
 
 import dataclasses
+import itertools
 import threading
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
 
 from app.run import Run
 from app.state import Document, PhotoEntry, State
 from photoreg.camera import Camera
-from photoreg.errors import InputError, RefinementError
+from photoreg.errors import InputError, OutputError, RefinementError
 from photoreg.photo import Photo
 
 UNDO_STEPS = 200
 
 Change = Callable[[State], State]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Step:
+    """The document after a step of the history."""
+
+    name: str | None
+    """Name of the step that led to it; None where it is not known."""
+    document: Document
+
+
 Listener = Callable[[State, State], None]
 
 
@@ -36,6 +48,8 @@ class Session:
         self._past: list[tuple[str, Document]] = []
         self._future: list[tuple[str, Document]] = []
         self._gesture: Hashable = None
+        self.read_only = ""
+        """Why the document cannot be changed, in one sentence; empty where it can."""
 
     @property
     def state(self) -> State:
@@ -71,6 +85,8 @@ class Session:
             if new.document != old.document:
                 if name is None:
                     raise ValueError("A change of the document needs a name.")
+                if self.read_only:
+                    raise OutputError(self.read_only)
                 if old.run.is_active:
                     raise RefinementError(
                         "The refinement is running. Stop it first, or wait for its end."
@@ -91,12 +107,65 @@ class Session:
         """Does the step taken back again; returns its name, None if there is none."""
         return self._travel(self._future, self._past)
 
+    def history(self) -> tuple[list[Step], int]:
+        """All steps that undo and redo reach, and which of them is in force."""
+        with self.lock:
+            steps, name = [], None
+            for following, document in self._past:
+                steps.append(Step(name, document))
+                name = following
+            steps.append(Step(name, self._state.document))
+            steps += [Step(*ahead) for ahead in reversed(self._future)]
+            return steps, len(self._past)
+
+    def begin(self, document: Document) -> None:
+        """Begins anew with a document; nothing can be undone."""
+        self.restore([Step(None, document)], 0)
+
+    def restore(
+        self,
+        steps: Sequence[Step],
+        now: int,
+        choices: Mapping[str, Any] | None = None,
+        run: Run | None = None,
+    ) -> None:
+        """Puts a whole history in place of this one.
+
+        Args:
+            steps: The documents, oldest first.
+            now: Which of them is in force.
+            choices: Fields of the state that were chosen.
+            run: A run that waits to be accepted; None: none.
+        """
+        with self.lock:
+            self.read_only = ""
+            self._past = [
+                (after.name or "Change", before.document)
+                for before, after in itertools.pairwise(steps[: now + 1])
+            ]
+            self._future = [
+                (step.name or "Change", step.document) for step in steps[now + 1 :]
+            ][::-1]
+            self._gesture = None
+            self._replace(
+                dataclasses.replace(
+                    State(worker=self._state.worker, dark=self._state.dark),
+                    **{
+                        **(choices or {}),
+                        "document": steps[now].document,
+                        "run": run if run is not None else Run(),
+                    },
+                )
+            )
+
     def _travel(
         self, source: list[tuple[str, Document]], target: list[tuple[str, Document]]
     ) -> str | None:
         with self.lock:
             if not source:
                 return None
+            if self.read_only:
+                raise OutputError(self.read_only)
             if self._state.run.status != "idle":
                 raise RefinementError(
                     "Accept or revert the refinement first; then undo works again."

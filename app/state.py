@@ -260,6 +260,8 @@ class State:
     """What the worker process is about, in words; empty when it is ready."""
     note: str = ""
     """The last thing that happened, for the status line."""
+    saving: str = ""
+    """Why the work is not being kept, in one sentence; empty while it is."""
     undo_name: str | None = None
     redo_name: str | None = None
 

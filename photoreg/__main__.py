@@ -18,6 +18,7 @@ def app_command(
     /,
     *,
     cameras: Path | None = None,
+    project: Path | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
     browser: bool = True,
@@ -27,6 +28,8 @@ def app_command(
     Args:
         files: A mesh and its photos, or a folder that `photoreg synthesize` made.
         cameras: Cameras of the photos, a photoreg camera file.
+        project: Folder that keeps the work: opened as it was left where it is a project,
+            made where not. Without it, a new one in your data folder.
         host: Address to listen on; the default lets only this machine in.
         port: Port to listen on; the next free one is taken when it is busy.
         browser: Open the page in the default browser, where there is one.
@@ -34,7 +37,9 @@ def app_command(
     # Not at the top: the command line must not wait for the app's imports.
     from app.main import run_app  # noqa: PLC0415
 
-    return run_app(files, cameras, host=host, port=port, open_browser=browser)
+    return run_app(
+        files, cameras, project=project, host=host, port=port, open_browser=browser
+    )
 
 
 def main() -> int:

@@ -271,6 +271,17 @@ class Project:
             found = [self.files.problem(key) for key in sorted(keys)]
             return [problem for problem in found if problem is not None]
 
+    @property
+    def is_untouched(self) -> bool:
+        """Whether nothing was done since it was made: one step, no file, no run."""
+        with self._access:
+            counts = self._connection.execute(
+                "SELECT (SELECT count(*) FROM steps), (SELECT count(*) FROM runs)"
+            ).fetchone()
+        kept = self.folder / KEPT
+        has_files = kept.is_dir() and any(kept.iterdir())
+        return counts[0] <= 1 and counts[1] == 0 and not has_files
+
     # Choices.
 
     def write_settings(self, settings: Mapping[str, object]) -> None:
