@@ -1,57 +1,107 @@
-"""The textured model: baked, packed for download, and as GLB for the preview."""
+"""The textured model: baked step by step, packed for download, and previewed."""
 
 import json
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from app.messages import Baked, Working
+from app.messages import Baked, Packed, Working
 from app.placement import DisplayFrame
+from app.state import ModelChoice, Texture
 from photoreg.atlas import Atlas, make_atlas
 from photoreg.camera import Camera
+from photoreg.errors import InputError
 from photoreg.formats.textured import textured_download
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
-from photoreg.texture import TexturedMesh, bake_texture
+from photoreg.texture import BakingStep, TextureConfig, TexturedMesh, baking
 
 PREVIEW_SIDE_PX = 4096
 """Texels of the preview's longer side at most; software WebGL ends at 8192."""
 
 PREVIEW_QUALITY = 90
+COVERAGE_SIDE_PX = 560
+"""Twice the width of the panel, for screens of fine pixels."""
 
 
 class Baker:
-    """Bakes textures; the charts of a mesh, which take the longest, are kept."""
+    """Bakes textures; keeps the last, and the charts of the mesh, which take longest."""
 
     def __init__(self) -> None:
         self._mesh: Mesh | None = None
         self._atlas: Atlas | None = None
+        self._textured: TexturedMesh | None = None
 
     def bake(
-        self, mesh: Mesh, photos: Sequence[Photo], cameras: Sequence[Camera]
-    ) -> Iterator[Working | Baked]:
-        """Bakes, telling what goes on; the last event is the model."""
+        self,
+        mesh: Mesh,
+        photos: Sequence[Photo],
+        cameras: Sequence[Camera],
+        config: TextureConfig | None = None,
+    ) -> Generator[Working | Baked]:
+        """Bakes, telling what comes next; the last event is the model.
+
+        Whoever stops iterating ends it; the model made before is then still there.
+        """
+        config = config or TextureConfig()
         if self._mesh is not mesh or self._atlas is None:
-            yield Working("Unfolding the surface", 0.05)
+            yield Working("Unfolding the surface", 0.02)
             self._atlas = make_atlas(mesh)
             self._mesh = mesh
-        yield Working("Painting the photos onto it", 0.4)
-        textured = bake_texture(mesh, photos, cameras, atlas=self._atlas)
-        yield Working("Packing the files", 0.8)
-        archive = textured_download(f"{Path(mesh.name).stem or 'model'}.obj", textured)[
-            1
-        ]
-        height, width = textured.texture.shape[:2]
-        summary = (
-            f"Texture of {width} × {height} px; the photos cover "
-            f"{100 * textured.seen_share:.0f} % of the surface, the rest is filled from "
-            "its neighbours."
+        for step in baking(mesh, photos, cameras, config, self._atlas):
+            if isinstance(step, BakingStep):
+                yield Working(step.title, step.fraction)
+            else:
+                yield Working("Making the preview", 0.95)
+                self._textured = step
+                yield Baked(_texture(step, photos, cameras, config))
+
+    def pack(self, choice: ModelChoice) -> Packed:
+        """The model made last as one file for download.
+
+        Raises:
+            InputError: if there is none, as after the process was started again.
+        """
+        textured = self._textured
+        if textured is None:
+            raise InputError(
+                "The engine was started again since the texture was made. Make it anew."
+            )
+        at_vertices = choice.format == "coloured ply"
+        suffix = ".ply" if at_vertices else f".{choice.format}"
+        name = f"{Path(textured.mesh.name).stem or 'model'}{suffix}"
+        return Packed(*textured_download(name, textured, at_vertices, choice.picture))
+
+
+def _texture(
+    textured: TexturedMesh,
+    photos: Sequence[Photo],
+    cameras: Sequence[Camera],
+    config: TextureConfig,
+) -> Texture:
+    height, width = textured.texture.shape[:2]
+    filled = {
+        "diffuse": "filled from its neighbours",
+        "colour": "in the colour chosen",
+        "own": "in the model's own colours",
+    }[config.unseen]
+    summary = (
+        f"Texture of {width} × {height} px. The photos cover "
+        f"{100 * textured.seen_share:.0f} % of the surface; the rest is {filled}."
+    )
+    coverage = tuple(
+        (photo.name, share, colour)
+        for photo, share, colour in zip(
+            photos, textured.seen_share_by_photo, textured.coverage_colours, strict=True
         )
-        glb = preview_glb(textured)
-        yield Baked(archive, glb, tuple(cameras), summary)
+    )
+    picture = _jpeg(textured.coverage_picture(), COVERAGE_SIDE_PX)
+    return Texture(
+        preview_glb(textured), tuple(cameras), config, summary, picture, coverage
+    )
 
 
 def preview_glb(textured: TexturedMesh) -> bytes:
@@ -72,7 +122,7 @@ def preview_glb(textured: TexturedMesh) -> bytes:
         positions.tobytes(),
         uv.tobytes(),
         indices.tobytes(),
-        _texture_jpeg(textured.texture),
+        _jpeg(textured.texture, PREVIEW_SIDE_PX),
     ]
     body, views = bytearray(), []
     for part in parts:
@@ -142,13 +192,13 @@ def preview_glb(textured: TexturedMesh) -> bytes:
     )
 
 
-def _texture_jpeg(texture: np.ndarray) -> bytes:
-    scale = PREVIEW_SIDE_PX / max(texture.shape[:2])
+def _jpeg(picture: np.ndarray, max_side_px: int) -> bytes:
+    scale = max_side_px / max(picture.shape[:2])
     if scale < 1.0:
-        texture = cv2.resize(
-            texture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA
+        picture = cv2.resize(
+            picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA
         )
-    bgr = cv2.cvtColor(texture, cv2.COLOR_RGB2BGR)
+    bgr = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
     done, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, PREVIEW_QUALITY])
     assert done
     return data.tobytes()

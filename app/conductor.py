@@ -15,6 +15,7 @@ from app.intake import Intake
 from app.messages import (
     Bake,
     Baked,
+    BakingStopped,
     Checked,
     Compare,
     Compared,
@@ -28,12 +29,15 @@ from app.messages import (
     Measured,
     MeshLoaded,
     OverlayView,
+    Pack,
+    Packed,
     PhotoLoaded,
     Picture,
     Ready,
     Refine,
     Refined,
     SetScene,
+    Stop,
     SurfaceDrawn,
     Timed,
     Working,
@@ -43,13 +47,16 @@ from app.run import Run, Status
 from app.run_report import report_html
 from app.session import Session
 from app.solver import Solver
-from app.state import Document, Job, State, Texture, same_camera
+from app.state import Document, Job, State, same_camera
 from app.worker import Worker
 from photoreg.camera import Camera
 from photoreg.errors import InputError, RefinementError
 from photoreg.formats.cameras_json import CameraFile, dump_cameras
 
 log = logging.getLogger(__name__)
+
+Deliver = Callable[[str, bytes], None]
+"""Takes a file's name and content, for the person who asked for it."""
 
 
 class Conductor:
@@ -69,6 +76,7 @@ class Conductor:
         self.on_problem: Callable[[str], None] = _ignore
         """Called with a sentence for everybody who looks at the page."""
         self._scene_sent: Document | None = None
+        self._deliver: Deliver = _drop
         # One lock for both: listeners run under the session's.
         self._lock = session.lock
         self.worker = Worker(self._on_event, warm_up)
@@ -209,9 +217,28 @@ class Conductor:
                     "A textured model needs a mesh and a photo. Load them in the "
                     "Data tab."
                 )
-            self._set(job=Job("Making the texture"))
+            self._set(job=Job("Making the texture", can_stop=True))
             self._send_scene(state.document)
-            self.worker.send(Bake(state.document.used_cameras))
+            self.worker.send(Bake(state.document.used_cameras, state.texture_config))
+
+    def stop_baking(self) -> None:
+        """Ends the making of the texture after its present step."""
+        with self._lock:
+            job = self.session.state.job
+            if job is not None and job.can_stop:
+                self._set(job=Job("Stopping", job.fraction, is_stopping=True))
+                self.worker.send(Stop())
+
+    def pack_model(self, deliver: Deliver) -> None:
+        """Has the textured model made into a file; ``deliver`` is then called with it."""
+        with self._lock:
+            state = self.session.state
+            if state.texture is None:
+                raise InputError("Make the texture first.")
+            _must_be_idle(state)
+            self._set(job=Job("Packing the files"))
+            self._deliver = deliver
+            self.worker.send(Pack(state.model_choice))
 
     def cameras_text(self) -> str:
         """The document's cameras as a photoreg camera file."""
@@ -257,12 +284,14 @@ class Conductor:
             case Timed():
                 self._set(speed=event.speed)
             case Working():
-                self._set(job=Job(event.title, event.fraction))
+                self.session.change(None, lambda state: outcomes.worked(state, event))
             case Baked():
-                texture = Texture(
-                    event.archive, event.glb, event.cameras, event.summary
-                )
-                self._set(job=None, texture=texture, note="The texture is ready.")
+                self._set(job=None, texture=event.texture, note="The texture is ready.")
+            case BakingStopped():
+                self._set(job=None, note="Stopped; the texture is as it was.")
+            case Packed():
+                self._set(job=None)
+                self._deliver(event.name, event.content)
             case Failed():
                 self._on_failure(event)
             case Died():
@@ -429,6 +458,10 @@ def _comparison(state: State) -> Compare | None:
 
 def _shown_cameras(state: State) -> tuple[Camera, ...]:
     return tuple(entry.camera for entry in state.photos if entry.enabled)
+
+
+def _drop(_name: str, _content: bytes) -> None:
+    """Nobody has asked for a file."""
 
 
 def _ignore(_: str) -> None:

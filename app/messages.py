@@ -7,7 +7,14 @@ from typing import Any
 import numpy as np
 
 from app.run import CurvePoint
-from app.state import Agreement, OverlayStyle, Surface, ThroughStyle
+from app.state import (
+    Agreement,
+    ModelChoice,
+    OverlayStyle,
+    Surface,
+    Texture,
+    ThroughStyle,
+)
 from app.timing import Speed
 from photoreg.camera import Camera
 from photoreg.freedom import Freedom
@@ -15,6 +22,7 @@ from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.presets import RegistrationConfig
 from photoreg.readiness import Readiness
+from photoreg.texture import TextureConfig
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -104,7 +112,7 @@ class Resume:
 
 @dataclasses.dataclass(frozen=True)
 class Stop:
-    """End the refinement; the best so far is kept."""
+    """End the refinement, keeping the best so far, or the making of a texture."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -112,6 +120,14 @@ class Bake:
     """Make the textured model."""
 
     cameras: tuple[Camera, ...]
+    config: TextureConfig = TextureConfig()
+
+
+@dataclasses.dataclass(frozen=True)
+class Pack:
+    """Make a file for download of the textured model made last."""
+
+    choice: ModelChoice
 
 
 @dataclasses.dataclass(frozen=True)
@@ -245,10 +261,20 @@ class Working:
 class Baked:
     """The textured model, ready to be downloaded and shown."""
 
-    archive: bytes
-    glb: bytes
-    cameras: tuple[Camera, ...]
-    summary: str
+    texture: Texture
+
+
+@dataclasses.dataclass(frozen=True)
+class BakingStopped:
+    """The making of the texture ended early, as asked."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Packed:
+    """A file for download."""
+
+    name: str
+    content: bytes
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -276,6 +302,7 @@ Job = (
     | Refine
     | Compare
     | Bake
+    | Pack
     | OverlayView
     | Pause
     | Resume
@@ -295,6 +322,8 @@ Event = (
     | Timed
     | Working
     | Baked
+    | BakingStopped
+    | Packed
     | Failed
     | Died
 )

@@ -3,10 +3,18 @@
 import dataclasses
 
 from app import session as rules
-from app.messages import Checked, Live, MeshLoaded, PhotoLoaded, Picture, Refined
+from app.messages import (
+    Checked,
+    Live,
+    MeshLoaded,
+    PhotoLoaded,
+    Picture,
+    Refined,
+    Working,
+)
 from app.placement import first_camera
 from app.run import CurvePoint, Run
-from app.state import Document, State, same_camera
+from app.state import Document, Job, State, same_camera
 from app.timing import seconds_left
 from photoreg.camera import Camera
 
@@ -39,6 +47,14 @@ def with_photo(state: State, event: PhotoLoaded) -> State:
     camera = first_camera(document.mesh, event.photo, document.up, others)
     state = rules.with_photo_added(event.photo, camera)(state)
     return dataclasses.replace(state, note=f"{event.photo.name} is added.")
+
+
+def worked(state: State, event: Working) -> State:
+    """The job goes on; one that is told to stop says so until it has ended."""
+    job = state.job or Job("")
+    title = job.title if job.is_stopping else event.title
+    job = dataclasses.replace(job, title=title, fraction=event.fraction)
+    return dataclasses.replace(state, job=job)
 
 
 def advanced(state: State, event: Live) -> State:

@@ -1,40 +1,113 @@
 """Tab 4, Export: the textured model and the cameras."""
 
-from pathlib import Path
+import base64
+import dataclasses
+import html
+from collections.abc import Callable
+from typing import Any
 
 import viser
 
+from app.bus import Bus
 from app.conductor import Conductor
 from app.controls import guarded, put, put_value
 from app.session import setting
-from app.state import State
+from app.state import State, Texture
+from app.widgets import HELP, Choice, Option, help_line
 from photoreg.errors import InputError
+
+SIZES = {
+    "auto": Option("Auto", "About one texel for each photo pixel on the surface."),
+    "1024": Option("1024", "Small, for the web; 1024 texels on the longer side."),
+    "2048": Option("2048", "Good for most uses; 2048 texels on the longer side."),
+    "4096": Option("4096", "Fine; 4096 texels on the longer side."),
+    "8192": Option("8192", "The finest; some older devices cannot show it."),
+}
+MODES = {
+    "blend": Option("Blend", "Photos pass into each other, so that no seam shows."),
+    "best": Option("Best view", "Each spot from its best photo alone; seams may show."),
+}
+PICTURES = {
+    "png": Option("PNG", "The picture exactly as it was made."),
+    "jpeg": Option("JPEG", "Several times smaller, at hardly any loss."),
+}
+FORMATS = {
+    "obj": Option("OBJ", "OBJ, MTL and picture in a zip, for any 3-D program."),
+    "glb": Option("GLB", "One file with all in it, for the web and for viewers."),
+    "ply": Option("PLY", "PLY with its picture in a zip, for MeshLab."),
+    "coloured ply": Option("PLY, no picture", "Colours at the vertices, no texture."),
+}
 
 
 class ExportPanel:
     """Controls of the Export tab."""
 
-    def __init__(self, gui: viser.GuiApi, conductor: Conductor) -> None:
+    def __init__(self, gui: viser.GuiApi, conductor: Conductor, bus: Bus) -> None:
         session = conductor.session
+
+        def configure(field: str, read: Callable[[str], Any] = str) -> Callable:
+            def heard(_: viser.ClientHandle, value: str) -> None:
+                config = session.state.texture_config
+                config = dataclasses.replace(config, **{field: read(value)})
+                session.change(None, setting(texture_config=config))
+
+            return heard
+
+        def choose(field: str) -> Callable:
+            def heard(_: viser.ClientHandle, value: str) -> None:
+                choice = dataclasses.replace(
+                    session.state.model_choice, **{field: value}
+                )
+                session.change(None, setting(model_choice=choice))
+
+            return heard
+
         gui.add_markdown("The photos as one texture on the mesh.")
+        self._size = Choice(gui, bus, "Size", SIZES, configure("size", _size))
+        self._mode = Choice(gui, bus, "Photos", MODES, configure("mode"))
+        self._unseen = Choice(gui, bus, "Unseen", {}, configure("unseen"))
+        self._colour = gui.add_rgb("Colour", (128, 128, 128), visible=False)
         self._bake = gui.add_button("Make the texture", icon=viser.Icon.BRUSH)
         self._bar = gui.add_progress_bar(0.0, visible=False, animated=True)
         self._text = gui.add_markdown("")
-        self._show = gui.add_checkbox("Show it on the model", True, visible=False)
-        self._model = gui.add_button(
-            "Export textured OBJ (zip)", icon=viser.Icon.DOWNLOAD, disabled=True
+        self._stop = gui.add_button(
+            "Cancel", icon=viser.Icon.PLAYER_STOP, color="red", visible=False
         )
-        gui.add_markdown("OBJ, MTL and PNG in one archive, for any 3-D program.")
+        self._show = gui.add_checkbox("Show it on the model", True, visible=False)
+        with gui.add_folder(
+            "Which photo paints where", expand_by_default=False, visible=False
+        ) as self._coverage_folder:
+            self._coverage = gui.add_html("")
+        self._format = Choice(gui, bus, "File", FORMATS, choose("format"))
+        self._picture = Choice(gui, bus, "Picture", PICTURES, choose("picture"))
+        self._model = gui.add_button(
+            "Download the model", icon=viser.Icon.DOWNLOAD, disabled=True
+        )
         gui.add_divider()
         self._cameras = gui.add_button(
             "Export cameras.json", icon=viser.Icon.CAMERA, color="gray"
         )
-        gui.add_markdown("For photoreg's command line and for this app's Data tab.")
+        gui.add_html(
+            help_line("For photoreg's command line and for this app's Data tab.")
+        )
+
+        @self._colour.on_update
+        @guarded
+        def _(_: viser.GuiEvent) -> None:
+            config = dataclasses.replace(
+                session.state.texture_config, unseen_colour=self._colour.value
+            )
+            session.change(None, setting(texture_config=config))
 
         @self._bake.on_click
         @guarded
         def _(_: viser.GuiEvent) -> None:
             conductor.bake()
+
+        @self._stop.on_click
+        @guarded
+        def _(_: viser.GuiEvent) -> None:
+            conductor.stop_baking()
 
         @self._show.on_update
         @guarded
@@ -44,44 +117,99 @@ class ExportPanel:
         @self._model.on_click
         @guarded
         def _(event: viser.GuiEvent) -> None:
-            state = session.state
-            if state.texture is None or event.client is None:
-                raise InputError("Make the texture first.")
-            name = Path(state.document.mesh.name if state.document.mesh else "model")
-            event.client.send_file_download(
-                f"{name.stem}-textured.zip",
-                state.texture.archive,
-                save_immediately=True,
-            )
+            conductor.pack_model(_sending_to(event.client))
 
         @self._cameras.on_click
         @guarded
         def _(event: viser.GuiEvent) -> None:
-            assert event.client is not None
-            event.client.send_file_download(
-                "cameras.json", conductor.cameras_text().encode(), save_immediately=True
-            )
+            deliver = _sending_to(event.client)
+            deliver("cameras.json", conductor.cameras_text().encode())
 
     def show(self, state: State) -> None:
         """Makes the controls as ``state`` has them."""
-        job = state.job
+        job, config, choice = state.job, state.texture_config, state.model_choice
         idle = state.run.status == "idle" and job is None
         usable = state.document.mesh is not None and bool(state.document.used)
+        self._size.show(str(config.size))
+        self._mode.show(config.mode)
+        self._unseen.show(config.unseen, options=_unseen_options(state))
+        put(self._colour, "visible", config.unseen == "colour")
+        put_value(self._colour, config.unseen_colour)
         put(self._bake, "disabled", not idle or not usable)
         put(self._bar, "visible", job is not None)
+        put(self._stop, "visible", job is not None and job.can_stop)
+        put(self._stop, "disabled", job is not None and job.is_stopping)
         if job is not None:
             put_value(self._bar, round(100.0 * job.fraction, 1))
-        put(self._model, "disabled", state.texture is None or job is not None)
+        self._format.show(choice.format)
+        self._picture.show(choice.picture, visible=choice.format != "coloured ply")
+        put(self._model, "disabled", state.texture is None or not idle)
         put(self._show, "visible", state.texture is not None)
         put_value(self._show, state.show_texture)
+        put(self._coverage_folder, "visible", state.texture is not None)
+        if state.texture is not None:
+            put(self._coverage, "content", _coverage_html(state.texture))
         put(self._cameras, "disabled", not state.document.photos)
-        text = "Not made yet."
-        if job is not None:
-            text = f"{job.title} …"
-        elif state.texture is not None:
-            text = state.texture.summary
-            if not state.texture_is_current:
-                text += "\n\n⚠ The cameras have changed since. Make it again."
-        elif state.run.status == "review":
-            text = "Accept or revert the refinement first."
-        put(self._text, "content", text)
+        put(self._text, "content", _text(state))
+
+
+def _text(state: State) -> str:
+    if state.job is not None:
+        return f"{state.job.title} …"
+    if state.run.status == "review":
+        return "Accept or revert the refinement first."
+    if state.texture is None:
+        return "Not made yet."
+    if state.texture_is_current:
+        return state.texture.summary
+    return (
+        f"{state.texture.summary}\n\n⚠ Cameras or settings have changed since. Make it "
+        "again."
+    )
+
+
+def _unseen_options(state: State) -> dict[str, Option]:
+    mesh = state.document.mesh
+    has_own = mesh is not None and (
+        mesh.own_texture is not None or mesh.vertex_colours is not None
+    )
+    return {
+        "diffuse": Option("Filled in", "Colours spread from seen neighbours."),
+        "colour": Option("One colour", "It shows plainly what no photo saw."),
+        "own": Option("Its own", "The colours that the mesh came with.", has_own),
+    }
+
+
+def _size(value: str) -> int | str:
+    return value if value == "auto" else int(value)
+
+
+def _coverage_html(texture: Texture) -> str:
+    rows = [
+        (f"rgb{colour}", html.escape(name), share)
+        for name, share, colour in texture.coverage
+    ]
+    unseen = max(0.0, 1.0 - sum(share for _, _, share in rows))
+    rows.append(("rgb(60,60,60)", "No photo", unseen))
+    legend = "".join(
+        f'<div style="display:flex;gap:8px;align-items:center"><span style="width:11px;'
+        f'height:11px;border-radius:3px;background:{colour}"></span><span style="flex:1;'
+        f'overflow:hidden;text-overflow:ellipsis">{name}</span><span>{100 * share:.0f} %'
+        "</span></div>"
+        for colour, name, share in rows
+    )
+    picture = base64.b64encode(texture.coverage_jpeg).decode()
+    return (
+        f'<div style="{HELP}">{legend}<img alt="Which photo paints where" '
+        f'src="data:image/jpeg;base64,{picture}" style="width:100%;margin-top:7px;'
+        'border-radius:5px"><div>The texture laid flat: brighter where it is seen '
+        "better.</div></div>"
+    )
+
+
+def _sending_to(client: viser.ClientHandle | None) -> Callable[[str, bytes], None]:
+    if client is None:
+        raise InputError("There is no page to send the file to.")
+    return lambda name, content: client.send_file_download(
+        name, content, save_immediately=True
+    )

@@ -127,7 +127,7 @@ class Page:
         with tabs.add_tab("3 Refine"):
             refine = RefinePanel(gui, self.conductor)
         with tabs.add_tab("4 Export"):
-            export = ExportPanel(gui, self.conductor)
+            export = ExportPanel(gui, self.conductor, bus)
         left = gui.add_panel()
         with left.add_tab("Overlay", viser.Icon.LAYERS_INTERSECT):
             overlay = OverlayPanel(gui, self.conductor, bus)

@@ -13,11 +13,14 @@ from app.masks import decode_mask, encode_mask
 from app.run import Run
 from app.timing import Speed
 from photoreg.camera import Camera
+from photoreg.formats.cameras import FormatName
+from photoreg.formats.pictures import PictureKind
 from photoreg.freedom import Freedom
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.presets import PresetName, RegistrationConfig
 from photoreg.readiness import Readiness
+from photoreg.texture import TextureConfig
 
 SAME_CAMERA_TOLERANCE = 1e-10
 """Relative difference under which two cameras count as the same. Poses pass through
@@ -154,14 +157,30 @@ class Document:
 class Texture:
     """A textured model as made by the worker."""
 
-    archive: bytes
-    """OBJ, MTL and PNG in a zip."""
     glb: bytes
-    """The same model for the preview."""
+    """The model for the preview; the worker keeps it whole for downloads."""
     cameras: tuple[Camera, ...]
     """The cameras it was made with, to tell whether it is still of today."""
+    config: TextureConfig
+    """The settings it was made with, for the same reason."""
     summary: str
     """Size and coverage in words."""
+    coverage_jpeg: bytes
+    """Which photo paints each texel, and how well; a small picture."""
+    coverage: tuple[tuple[str, float, tuple[int, int, int]], ...]
+    """Of each photo: name, share of the surface's area, colour in that picture."""
+
+
+ModelFormat = Literal["obj", "glb", "ply", "coloured ply"]
+
+
+@dataclasses.dataclass(frozen=True)
+class ModelChoice:
+    """What kind of file the textured model is downloaded as."""
+
+    format: ModelFormat = "obj"
+    """"coloured ply": colours at the vertices and no texture."""
+    picture: PictureKind = "png"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -170,6 +189,10 @@ class Job:
 
     title: str
     fraction: float = 0.0
+    can_stop: bool = False
+    """Whether the user may end it early."""
+    is_stopping: bool = False
+    """Whether the user has asked for that."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -256,6 +279,11 @@ class State:
     """Number of the run that the one on screen is compared with; 0: its start."""
     job: Job | None = None
     texture: Texture | None = None
+    texture_config: TextureConfig = TextureConfig()
+    """How the next texture is made."""
+    model_choice: ModelChoice = ModelChoice()
+    cameras_format: FormatName = "photoreg"
+    """In which cameras are exported."""
     worker: str = "Starting the engine"
     """What the worker process is about, in words; empty when it is ready."""
     note: str = ""
@@ -328,10 +356,11 @@ class State:
 
     @property
     def texture_is_current(self) -> bool:
-        """Whether the texture was made with the cameras as they are now."""
+        """Whether the texture was made with cameras and settings as they are now."""
         now = self.document.used_cameras
         return (
             self.texture is not None
+            and self.texture.config == self.texture_config
             and len(now) == len(self.texture.cameras)
             and all(map(same_camera, now, self.texture.cameras))
         )

@@ -15,6 +15,7 @@ from app.judge import Judge
 from app.masks import decode_mask
 from app.messages import (
     Bake,
+    BakingStopped,
     Checked,
     Compare,
     DrawOverlay,
@@ -26,6 +27,7 @@ from app.messages import (
     Measured,
     MeshLoaded,
     OverlayView,
+    Pack,
     Pause,
     PhotoLoaded,
     Ready,
@@ -138,10 +140,13 @@ class WorkerProcess:
                 self._refine(job)
             case Bake():
                 self._bake(job)
+            case Pack():
+                self._send(Working("Packing the files", 0.5))
+                self._send(self._baker.pack(job.choice))
             case Compare():
                 self._compare(job)
             case OverlayView() | Stop() | Pause() | Resume():
-                pass  # Meant for a refinement that has just ended.
+                pass  # Meant for work that has just ended.
 
     def _newer_overlay(self, job: DrawOverlay) -> DrawOverlay:
         """Skips overlays that are already overtaken by the next one in the pipe."""
@@ -213,8 +218,17 @@ class WorkerProcess:
 
     def _bake(self, job: Bake) -> None:
         mesh = self._scene_mesh()
-        for step in self._baker.bake(mesh, self._photos, job.cameras):
+        for step in self._baker.bake(mesh, self._photos, job.cameras, job.config):
             self._send(step)
+            if isinstance(step, Working) and self._is_told_to_stop():
+                self._send(BakingStopped())
+                return
+
+    def _is_told_to_stop(self) -> bool:
+        """Whether the app sent a stop; what else it sent is kept for afterwards."""
+        messages = list(self._messages(wait=False))
+        self._backlog += [job for job in messages if not isinstance(job, Stop)]
+        return any(isinstance(job, Stop) for job in messages)
 
     def _warm_up(self) -> None:
         """Compiles every kernel on a toy, and drops it when real work comes."""

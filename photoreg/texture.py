@@ -72,18 +72,23 @@ class TexturedMesh:
         """Texture coordinates of each face's corners, v upwards."""
         return self.atlas.uv[self.atlas.uv_faces]
 
+    @property
+    def coverage_colours(self) -> tuple[tuple[int, int, int], ...]:
+        """The sRGB colour of each photo in the coverage picture, where it is brightest."""
+        # The golden angle keeps the hues of any number of photos apart.
+        hues = [(100 + 222.5 * photo) % 360 / 2 for photo in range(len(self.gains))]
+        hsv = np.array([[[hue, 190, 255] for hue in hues]], np.uint8)
+        rgb = cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB)[0].tolist()
+        return tuple((red, green, blue) for red, green, blue in rgb)
+
     def coverage_picture(self) -> UInt8[np.ndarray, "h w 3"]:
         """Which photo, by hue, and how well, by brightness; unseen surface is grey."""
         picture = np.zeros((*self.photo_index.shape, 3), dtype=np.uint8)
         picture[self.photo_index == -1] = 60
-        n_photos = len(self.gains)
-        for photo in range(n_photos):
-            # The golden angle keeps the hues of any number of photos apart.
-            hsv = np.array([[[(100 + 222.5 * photo) % 360 / 2, 190, 255]]], np.uint8)
-            colour = cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB)[0, 0]
+        for photo, colour in enumerate(self.coverage_colours):
             texel = self.photo_index == photo
             shade = 0.35 + 0.65 * self.quality[texel, None] / 255.0
-            picture[texel] = (shade * colour).astype(np.uint8)
+            picture[texel] = (shade * np.array(colour)).astype(np.uint8)
         return picture
 
 

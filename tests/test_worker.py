@@ -30,11 +30,12 @@ from app.messages import (
 )
 from app.run import CurvePoint
 from app.session import Session
-from app.state import Document, PhotoEntry, State, same_camera
+from app.state import Document, ModelChoice, PhotoEntry, State, same_camera
 from app.worker import Worker, newest
 from photoreg.errors import InputError, RefinementError
 from photoreg.registration import Finished, RegistrationConfig, refine
 from photoreg.synthetic import Scene, SceneOptions, make_scene
+from photoreg.texture import TextureConfig
 from tests.browser.driver import wait_until
 
 VIEW = OverlayView("blend", 0)
@@ -269,3 +270,26 @@ def test_the_overlay_follows_the_cameras_and_tells_the_true_error(conductor):
     assert error > 1.0
     wait(conductor, lambda s: s.run.error_px < 1e-6, "the overlay follows")
     assert conductor.picture != first
+
+
+def test_baking_is_stopped_between_its_steps_and_then_works(conductor):
+    session = conductor.session
+    conductor.bake()
+    conductor.stop_baking()
+    state = wait(conductor, lambda s: s.job is None, "it stops")
+    assert state.texture is None
+    assert state.note.startswith("Stopped")
+    config = TextureConfig(size=256, unseen="colour")
+    session.change(None, rules.setting(texture_config=config))
+    conductor.bake()
+    state = wait(conductor, lambda s: s.texture is not None, "the texture is made")
+    assert state.texture_is_current
+    session.change(None, rules.setting(texture_config=TextureConfig()))
+    assert not session.state.texture_is_current
+    files: list[tuple[str, bytes]] = []
+    session.change(None, rules.setting(model_choice=ModelChoice("glb")))
+    conductor.pack_model(lambda name, content: files.append((name, content)))
+    wait_until(lambda: files, "the file is packed")
+    assert files[0][0].endswith(".glb")
+    assert files[0][1][:4] == b"glTF"
+    assert session.state.job is None

@@ -98,7 +98,7 @@ def test_a_person_s_whole_way(open_app, tmp_path):
     driver.click("Make the texture")
     wait_until(lambda: session.state.texture is not None, "the texture is made", 180)
     with driver.page.expect_download() as download:
-        driver.click("Export textured OBJ (zip)")
+        driver.click("Download the model")
     path = tmp_path / "model.zip"
     download.value.save_as(path)
     check_model(path.read_bytes(), tmp_path, demo)

@@ -1,0 +1,57 @@
+"""The Export tab in a real browser: the texture and the files to take home."""
+
+import io
+from typing import Any
+
+import trimesh
+
+from tests.browser.driver import wait_until
+
+
+def downloaded(driver, button: str) -> tuple[str, bytes]:
+    """What the page gives to the person who clicks ``button``."""
+    with driver.page.expect_download() as download:
+        driver.click(button)
+    return download.value.suggested_filename, download.value.path().read_bytes()
+
+
+def test_the_texture_is_made_as_chosen_and_downloaded_as_glb(open_app, toy_document):
+    app = open_app(toy_document)
+    driver = app.driver
+    driver.dismiss_toasts()
+    driver.tab("4 Export")
+    driver.choose("Size", "1024")
+    driver.choose("Photos", "Best view")
+    driver.choose("Unseen", "One colour")
+    driver.choose("File", "GLB")
+    driver.choose("Picture", "JPEG")
+    wait_until(lambda: app.state.model_choice.picture == "jpeg", "the choice arrives")
+    config = app.state.texture_config
+    assert (config.size, config.mode, config.unseen) == (1024, "best", "colour")
+    driver.click("Make the texture")
+    wait_until(lambda: app.state.texture is not None, "the texture is made", 180)
+    driver.page.get_by_text("Texture of 1024").wait_for()
+    driver.page.get_by_text("Which photo paints where").click()
+    driver.page.get_by_alt_text("Which photo paints where").wait_for()
+    name, content = downloaded(driver, "Download the model")
+    assert name.endswith(".glb")
+    loaded: Any = trimesh.load(
+        io.BytesIO(content), file_type="glb", force="mesh", process=False
+    )
+    assert len(loaded.faces) == len(toy_document.mesh.faces)
+    assert max(loaded.visual.material.baseColorTexture.size) == 1024
+    driver.choose("Photos", "Blend")
+    driver.page.get_by_text("Make it again").wait_for()
+
+
+def test_cancel_ends_the_making_of_a_texture(open_app, toy_document):
+    app = open_app(toy_document)
+    driver = app.driver
+    driver.dismiss_toasts()
+    driver.tab("4 Export")
+    driver.choose("Size", "8192")
+    driver.click("Make the texture")
+    driver.click("Cancel")
+    wait_until(lambda: app.state.job is None, "it ends", 120)
+    assert app.state.texture is None
+    driver.page.get_by_text("Not made yet.").wait_for()
