@@ -13,7 +13,6 @@ from app.masks import decode_mask, encode_mask
 from app.run import Run
 from app.timing import Speed
 from photoreg.camera import Camera
-from photoreg.formats.cameras import FormatName
 from photoreg.formats.pictures import PictureKind
 from photoreg.freedom import Freedom
 from photoreg.mesh import Mesh
@@ -282,8 +281,6 @@ class State:
     texture_config: TextureConfig = TextureConfig()
     """How the next texture is made."""
     model_choice: ModelChoice = ModelChoice()
-    cameras_format: FormatName = "photoreg"
-    """In which cameras are exported."""
     worker: str = "Starting the engine"
     """What the worker process is about, in words; empty when it is ready."""
     note: str = ""
