@@ -4,7 +4,6 @@ The worker reads one file at a time. What came together is one undo step.
 """
 
 import dataclasses
-import functools
 import itertools
 import tempfile
 from collections.abc import Callable
@@ -42,9 +41,7 @@ class Intake:
         self._must_be_idle = must_be_idle
         self._on_problem = on_problem
         self._folder = tempfile.TemporaryDirectory(prefix="photoreg-")
-        self.keep_file: Callable[[str, bytes], Path] = functools.partial(
-            keep_file, Path(self._folder.name)
-        )
+        self.keep_file: Callable[[str, bytes], Path] = self._keep_apart
         """Where the files go; with a project, into it."""
         self._count = itertools.count(1)
         self._expected: dict[int, int] = {}
@@ -160,6 +157,12 @@ class Intake:
 
     def _change(self, change: Change) -> None:
         self._session.change(self._step[0], change, self._step[1])
+
+    def _keep_apart(self, name: str, content: bytes) -> Path:
+        # A folder for each: what comes again keeps its name.
+        folder = Path(self._folder.name) / str(next(self._count))
+        folder.mkdir()
+        return keep_file(folder, name, content)
 
     def _keep(self, name: str, content: bytes) -> Path:
         # Only the last part of the name: a path must not leave the folder.
