@@ -240,7 +240,13 @@ def test_numbers_typed_key_by_key_are_taken_or_refused_in_one_sentence(app):
     box.click()
     driver.page.keyboard.press("Control+a")
     driver.page.keyboard.type("12", delay=60)
-    wait_for_step(app, "Direction 1")
+    # Key by key: the camera is turned by 1 degree before it is turned by 12.
+    wait_until(
+        lambda: abs(camera_of(app).R_cam_world[0, 2] + np.sin(np.radians(12))) < 1e-9,
+        "the turn is taken",
+        20,
+    )
+    assert app.state.undo_name == "Direction 1"
     assert camera_of(app).center == pytest.approx(angled.center), "on the spot"
     now = camera_of(app)
     box = driver.page.get_by_label("Principal point")
