@@ -133,6 +133,8 @@ def ended(state: State, event: Refined) -> State:
         outcome = "Stopped; this is the best until then."
         if run.is_unwanted:
             outcome = "Stopped and reverted."
+        elif not has_moved(run):
+            outcome = "Stopped before anything better than the start was found."
         run = dataclasses.replace(run, outcome=outcome)
     else:
         run = dataclasses.replace(
@@ -156,12 +158,20 @@ def broken_off(state: State, outcome: str, keep: bool) -> State:
     run = state.run
     if not run.is_active:
         return state
-    moved = any(
-        not same_camera(a, b) for a, b in zip(run.start, run.cameras, strict=True)
-    )
-    if not keep or not moved:
+    if not keep or not has_moved(run):
         return dataclasses.replace(state, run=Run())
     return kept(state, dataclasses.replace(run, outcome=outcome))
+
+
+def has_moved(run: Run) -> bool:
+    """Whether something better than the start was found.
+
+    The first best of a search is the start itself, so a run that is stopped within its
+    first generations has nothing to offer.
+    """
+    return any(
+        not same_camera(a, b) for a, b in zip(run.start, run.cameras, strict=True)
+    )
 
 
 def kept(state: State, run: Run) -> State:

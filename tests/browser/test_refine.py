@@ -6,36 +6,57 @@ import signal
 import numpy as np
 import pytest
 
+from app.outcomes import has_moved
 from app.session import setting
-from app.state import Document
+from app.state import Document, PhotoEntry
+from photoreg.presets import PresetName
+from photoreg.synthetic import SceneOptions, make_scene
 from tests.browser.driver import Driver, wait_until
 
 
 @pytest.fixture(scope="module")
-def app(open_app_once, toy_document: Document):
+def app(open_app_once):
     """One app for all tests here: a worker compiles for long."""
-    app = open_app_once(toy_document)
+    scene = make_scene(
+        SceneOptions(kind="clean", width=160, height=120, error_px=(3.0, 4.0))
+    )
+    entries = tuple(map(PhotoEntry, scene.photos, scene.rough_cameras))
+    names = [photo.name for photo in scene.photos]
+    truth = tuple(zip(names, scene.cameras, strict=True))
+    app = open_app_once(
+        Document(scene.mesh, scene.mesh.decimated(5_000), entries, truth)
+    )
     app.driver.dismiss_toasts()
-    app.session.change(None, setting(preset="thorough"))
     app.driver.tab("3 Refine")
     return app
 
 
-def start(app) -> None:
+def start(app, preset: PresetName = "thorough") -> None:
+    """Starts a run and waits until it has something to offer."""
+    app.session.change(None, setting(preset=preset))
     wait_until(lambda: app.state.worker == "", "the worker is ready", 120)
     app.driver.click("Refine")
     wait_until(
-        lambda: app.state.run.curve and app.state.run.cameras != app.state.run.start,
+        lambda: app.state.run.curve and has_moved(app.state.run),
         "the run finds something better",
         240,
     )
 
 
-def back_to_idle(app) -> None:
-    wait_until(lambda: app.state.run.status == "review", "the run ends", 240)
-    app.driver.click("Revert")
-    wait_until(lambda: app.state.run.status == "idle", "it is reverted")
+def drop(app) -> None:
+    """Leaves the run, which goes on, is paused, or has ended."""
+    if app.state.run.is_active:
+        app.driver.click("Stop and revert")
+        # It may have ended by itself at that very moment.
+        wait_until(lambda: not app.state.run.is_active, "it stops", 60)
+    if app.state.run.status == "review":
+        app.driver.click("Revert")
+    wait_until(lambda: app.state.run.status == "idle", "it is dropped")
     app.driver.frames(2)
+
+
+def to_its_end(app) -> None:
+    wait_until(lambda: app.state.run.status == "review", "the run ends", 240)
 
 
 def test_a_paused_run_stands_still_and_goes_on_when_resumed(app):
@@ -52,7 +73,7 @@ def test_a_paused_run_stands_still_and_goes_on_when_resumed(app):
     wait_until(lambda: len(app.state.run.curve) > before[1], "it goes on")
     costs = [point.best for point in app.state.run.curve]
     assert costs == sorted(costs, reverse=True)
-    back_to_idle(app)
+    drop(app)
 
 
 def test_stop_and_revert_leaves_the_cameras_as_they_were(app):
@@ -68,6 +89,7 @@ def test_stop_and_keep_offers_the_best_so_far(app):
     start(app)
     app.driver.click("Stop and keep the best")
     wait_until(lambda: app.state.run.status == "review", "it stops", 60)
+    assert app.state.run.error_px < app.state.run.start_error_px
     app.driver.click("Accept")
     wait_until(lambda: app.state.undo_name == "Refine", "the cameras are taken")
     app.driver.click("Undo: Refine")
@@ -83,8 +105,8 @@ def test_what_is_ticked_stays_to_the_last_bit(app):
     for label in ("Keep place and turn", "Keep focal length", "Keep principal point"):
         app.driver.page.get_by_label(label).nth(0).check()
     wait_until(lambda: len(app.state.held) == 4, "the ticks arrive")
-    start(app)
-    wait_until(lambda: app.state.run.status == "review", "the run ends", 240)
+    start(app, "fast")
+    to_its_end(app)
     kept, moved = app.state.run.cameras
     np.testing.assert_array_equal(kept.K, first.K)
     np.testing.assert_array_equal(kept.R_cam_world, first.R_cam_world)
@@ -92,7 +114,7 @@ def test_what_is_ticked_stays_to_the_last_bit(app):
     assert moved.focal_px == second.focal_px
     assert not np.array_equal(moved.t_cam_world, second.t_cam_world)
     app.session.change(None, setting(held=()))
-    back_to_idle(app)
+    drop(app)
 
 
 def test_another_browser_sees_the_run_and_may_stop_it(app, chromium):
@@ -108,7 +130,7 @@ def test_another_browser_sees_the_run_and_may_stop_it(app, chromium):
         assert other.page.get_by_role("button", name="Accept", exact=True).is_visible()
     finally:
         window.close()
-    back_to_idle(app)
+    drop(app)
 
 
 def test_a_killed_worker_costs_no_work_and_the_next_run_ends(app):
@@ -119,7 +141,8 @@ def test_a_killed_worker_costs_no_work_and_the_next_run_ends(app):
     wait_until(lambda: app.state.run.status == "review", "the page knows", 5)
     assert "died" in app.state.run.outcome
     assert app.state.run.cameras
-    back_to_idle(app)
-    start(app)
-    back_to_idle(app)
+    drop(app)
+    start(app, "fast")
+    to_its_end(app)
+    drop(app)
     assert "died" not in app.state.runs[-1].outcome
