@@ -53,6 +53,7 @@ def test_the_shell_is_closed_and_turned_outward(shell):
     assert len(shell.faces) == pytest.approx(4_000, abs=10)
 
 
+@pytest.mark.slow
 def test_a_shell_whose_sheets_meet_in_many_grids_is_closed_too():
     # The form of seed 3, which the first 16 grids pinch.
     form = ShellForm(
