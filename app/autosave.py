@@ -12,6 +12,7 @@ import typing
 from typing import Any
 
 from app.run import Run
+from app.run_store import RunStore
 from app.session import Session, Step, setting
 from app.state import Document, State
 from photoreg.errors import PhotoregError
@@ -34,6 +35,7 @@ PASSING = frozenset(
         "document",
         "run",
         "runs",
+        "kept_search",
         "job",
         "texture",
         "worker",
@@ -69,6 +71,7 @@ class Autosave:
     def __init__(self, session: Session, project: Project) -> None:
         self._session = session
         self._project = project
+        self._runs = RunStore(project.runs)
         self._condition = threading.Condition()
         self._changed = 0
         self._kept = 0
@@ -99,13 +102,15 @@ class Autosave:
         run = self._project.read_setting("run", Run())
         runs = self._project.read_setting("runs", ())
         if run.is_active and cut_short(run).status == "review":
-            runs = (*runs, cut_short(run))
+            others = (other for other in runs if other.number != run.number)
+            runs = (*others, cut_short(run))
         self._session.restore(
             self._written,
             self._written_now,
             {
                 **{name: value for name, value in choices.items() if name in known},
                 "runs": runs,
+                "kept_search": self._runs.take_up(run, runs),
             },
             cut_short(run),
         )
@@ -217,6 +222,7 @@ class Autosave:
             self._project.write_settings(
                 {"choices": _choices(state), "run": state.run, "runs": state.runs}
             )
+            self._runs.write(state)
         self._first, self._written, self._written_now = first, steps, now
         return changed
 

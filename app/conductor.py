@@ -4,7 +4,6 @@ No viser here: the tests drive a whole refinement through this without a browser
 """
 
 import dataclasses
-import datetime
 import logging
 from collections.abc import Callable
 from typing import Any
@@ -17,7 +16,6 @@ from app.messages import (
     Baked,
     BakingStopped,
     Checked,
-    Compare,
     Compared,
     Died,
     DrawOverlay,
@@ -28,7 +26,6 @@ from app.messages import (
     LoadPhoto,
     Measured,
     MeshLoaded,
-    OverlayView,
     Pack,
     Packed,
     PhotoLoaded,
@@ -36,6 +33,7 @@ from app.messages import (
     Ready,
     Refine,
     Refined,
+    SearchKept,
     SetScene,
     Stop,
     SurfaceDrawn,
@@ -43,14 +41,19 @@ from app.messages import (
     Working,
 )
 from app.opening import demo_folder, open_folder
-from app.run import Run, Status
-from app.run_report import report_html
+from app.refinement import Refinement, must_be_idle
 from app.session import Session
+from app.showing import (
+    needs_comparison,
+    needs_overlay,
+    shown_cameras,
+    wanted_comparison,
+    wanted_view,
+)
 from app.solver import Solver
-from app.state import Document, Job, State, same_camera
+from app.state import Document, Job, State
 from app.worker import Worker
-from photoreg.camera import Camera
-from photoreg.errors import InputError, RefinementError
+from photoreg.errors import InputError
 from photoreg.formats.cameras_json import CameraFile, dump_cameras
 
 log = logging.getLogger(__name__)
@@ -70,8 +73,6 @@ class Conductor:
         """The newest pictures of the worker, all of them."""
         self.surface_glb: bytes | None = None
         """The newest state of the surface in a run, a GLB file in page axes."""
-        self.comparison: Compared | None = None
-        """The run on screen beside what it is compared with."""
         self.on_picture: Callable[[], None] = lambda: None
         self.on_problem: Callable[[str], None] = _ignore
         """Called with a sentence for everybody who looks at the page."""
@@ -80,11 +81,12 @@ class Conductor:
         # One lock for both: listeners run under the session's.
         self._lock = session.lock
         self.worker = Worker(self._on_event, warm_up)
+        self.refinement = Refinement(session, self.worker, self._send_scene)
         self.solver = Solver(session)
         self.intake = Intake(
             session,
             self.worker,
-            lambda: _must_be_idle(session.state),
+            lambda: must_be_idle(session.state),
             self._tell,
         )
         session.listen(self._follow)
@@ -104,7 +106,7 @@ class Conductor:
 
     def open(self, document: Document, name: str) -> None:
         """Makes ``document`` the one that is worked on."""
-        _must_be_idle(self.session.state)
+        must_be_idle(self.session.state)
         self.session.change(
             name,
             lambda state: dataclasses.replace(
@@ -112,106 +114,11 @@ class Conductor:
             ),
         )
 
-    def refine(self) -> None:
-        """Starts the refinement of the photos used."""
-        with self._lock:
-            state = self.session.state
-            _must_be_idle(state)
-            document = state.document
-            if document.mesh is None:
-                raise RefinementError("There is no mesh yet. Load one in the Data tab.")
-            if len(document.used) < 2:
-                raise RefinementError(
-                    f"Two photos at least are needed, but {len(document.used)} "
-                    "is in use. Add one in the Data tab."
-                )
-            names = tuple(entry.name for entry in document.used)
-            start = document.used_cameras
-            run = Run(
-                "starting",
-                1 + max((run.number for run in state.runs), default=0),
-                f"{datetime.datetime.now():%Y-%m-%d %H:%M:%S}",
-                state.preset,
-                state.settings,
-                names,
-                start,
-                start,
-                step="Starting",
-            )
-            self.session.change(None, rules.setting(run=run, note=""))
-            self._send_scene(document)
-            self.worker.send(
-                Refine(
-                    start,
-                    state.settings,
-                    _view(state),
-                    document.true_cameras(names),
-                    state.freedom,
-                )
-            )
-
-    def pause(self) -> None:
-        """Halts the refinement where it is."""
-        if self.session.change(None, _with_status("paused", "running", "starting")):
-            self.worker.pause_refinement()
-
-    def resume(self) -> None:
-        """Goes on with a refinement that was halted."""
-        if self.session.change(None, _with_status("running", "paused")):
-            self.worker.resume_refinement()
-
-    def stop(self, revert: bool = False) -> None:
-        """Ends the refinement; the best so far waits to be accepted, or is dropped."""
-
-        def stopping(state: State) -> State:
-            if not state.run.is_active:
-                return state
-            run = dataclasses.replace(
-                state.run, status="stopping", step="Stopping", is_unwanted=revert
-            )
-            return dataclasses.replace(state, run=run)
-
-        if self.session.change(None, stopping):
-            self.worker.stop_refinement()
-
-    def refine_again(self) -> None:
-        """Accepts the run on screen and starts the next one from its cameras."""
-        with self._lock:
-            self.accept()
-            self.refine()
-
-    def accept(self) -> None:
-        """Takes the refined cameras into the document, as one undo step."""
-        self.session.change("Refine", rules.accepted)
-
-    def revert(self) -> None:
-        """Goes back to the cameras from before the refinement."""
-        self.session.change(None, rules.reverted)
-
-    def report(self) -> tuple[str, bytes]:
-        """The run on screen as a file of HTML: its name and its content.
-
-        Raises:
-            RefinementError: if no run is on screen, or its pictures are not there yet.
-        """
-        state, comparison = self.session.state, self.comparison
-        if state.run.status != "review":
-            raise RefinementError(
-                "A report tells of a run that has ended. Choose one in the list of runs."
-            )
-        if comparison is None:
-            raise RefinementError(
-                "The pictures for the report are still being drawn. Try again in a "
-                "moment."
-            )
-        text = report_html(state, comparison)
-        return f"photoreg-run-{state.run.number}.html", text.encode()
-
     def bake(self) -> None:
         """Makes the textured model of the document's cameras."""
         with self._lock:
             state = self.session.state
-            _must_be_idle(state)
+            must_be_idle(state)
             if state.document.mesh is None or not state.document.used:
                 raise InputError(
                     "A textured model needs a mesh and a photo. Load them in the "
@@ -235,7 +142,7 @@ class Conductor:
             state = self.session.state
             if state.texture is None:
                 raise InputError("Make the texture first.")
-            _must_be_idle(state)
+            must_be_idle(state)
             self._set(job=Job("Packing the files"))
             self._deliver = deliver
             self.worker.send(Pack(state.model_choice))
@@ -265,6 +172,8 @@ class Conductor:
                 self.intake.loaded(event)
             case Live():
                 self.session.change(None, lambda state: outcomes.advanced(state, event))
+            case SearchKept():
+                self._set(kept_search=event.kept)
             case Picture():
                 self.picture, self.drawn = event.jpeg, event
                 self.session.change(None, lambda state: outcomes.measured(state, event))
@@ -277,7 +186,7 @@ class Conductor:
             case Refined():
                 self.session.change(None, lambda state: outcomes.ended(state, event))
             case Compared():
-                self.comparison = event
+                self.refinement.comparison = event
                 self.on_picture()
             case Checked():
                 self.session.change(None, lambda state: outcomes.checked(state, event))
@@ -339,47 +248,31 @@ class Conductor:
     def _follow(self, old: State, new: State) -> None:
         """Keeps the pictures up to date with the cameras and the choices."""
         self._follow_review(old, new)
-        wanted, before = _view(new), _view(old)
         if new.run.is_active:
-            if wanted != before:
-                self.worker.send(wanted)
+            if wanted_view(new) != wanted_view(old):
+                self.worker.send(wanted_view(new))
             return
         if new.document.mesh is None or len(new.document.used) < 2:
             return
-        cameras = _shown_cameras(new)
-        if (
-            wanted == before
-            and old.document.mesh is new.document.mesh
-            and [e.mask_png for e in old.document.used]
-            == [e.mask_png for e in new.document.used]
-            and not old.run.is_active
-            and len(cameras) == len(_shown_cameras(old))
-            and all(map(same_camera, cameras, _shown_cameras(old)))
-        ):
+        if not needs_overlay(old, new):
             return
         with self._lock:
             self._send_scene(new.document)
             names = tuple(entry.name for entry in new.document.used)
             truth = new.document.true_cameras(names)
-            self.worker.send(DrawOverlay(cameras, wanted, truth))
+            self.worker.send(DrawOverlay(shown_cameras(new), wanted_view(new), truth))
 
     def _follow_review(self, old: State, new: State) -> None:
         """Has a run that waits for a decision drawn beside what it is compared with."""
         if new.run.status != "review":
             if old.run.status == "review":
-                self.comparison = None
+                self.refinement.comparison = None
             return
-        wanted, before = _comparison(new), _comparison(old)
-        if wanted is None or (
-            before is not None
-            and (wanted.style, wanted.surface) == (before.style, before.surface)
-            and all(map(same_camera, wanted.before, before.before))
-            and all(map(same_camera, wanted.after, before.after))
-        ):
-            return
-        with self._lock:
-            self._send_scene(new.document)
-            self.worker.send(wanted)
+        wanted = wanted_comparison(new)
+        if wanted is not None and needs_comparison(old, new):
+            with self._lock:
+                self._send_scene(new.document)
+                self.worker.send(wanted)
 
     def _send_scene(self, document: Document) -> None:
         sent = self._scene_sent
@@ -402,62 +295,6 @@ class Conductor:
 
     def _set(self, **values: Any) -> None:
         self.session.change(None, rules.setting(**values))
-
-
-def _must_be_idle(state: State) -> None:
-    if state.run.is_active:
-        raise RefinementError("The refinement is running. Stop it first.")
-    if state.run.status == "review":
-        raise RefinementError("Accept or revert the refinement first.")
-    if state.job is not None:
-        raise RefinementError(f"{state.job.title} is still going on. Wait for its end.")
-
-
-def _with_status(status: Status, *before: Status) -> Callable[[State], State]:
-    """Puts the run into a status if it is in one of those ``before``."""
-
-    def change(state: State) -> State:
-        if state.run.status not in before:
-            return state
-        run = dataclasses.replace(state.run, status=status)
-        return dataclasses.replace(state, run=run)
-
-    return change
-
-
-def _view(state: State) -> OverlayView:
-    return OverlayView(
-        state.overlay_style,
-        state.overlay_onto,
-        state.overlay_share,
-        state.through_style,
-        state.mesh_opacity if state.through_style == "normals" else 0.0,
-        state.start_line,
-        state.surface,
-    )
-
-
-def _comparison(state: State) -> Compare | None:
-    """The run on screen, and what it is compared with; None without one.
-
-    A photo that is used now but was not in one of them keeps its own camera.
-    """
-    run = state.run
-    if run.status != "review":
-        return None
-    other = dict(zip(run.photo_names, run.start, strict=True))
-    for candidate in state.runs:
-        if candidate.number == state.compared_with:
-            other |= dict(zip(candidate.photo_names, candidate.cameras, strict=True))
-    used = state.document.used
-    if len(used) < 2:
-        return None
-    before = tuple(other.get(entry.name, entry.camera) for entry in used)
-    return Compare(before, _shown_cameras(state), state.overlay_style, state.surface)
-
-
-def _shown_cameras(state: State) -> tuple[Camera, ...]:
-    return tuple(entry.camera for entry in state.photos if entry.enabled)
 
 
 def _drop(_name: str, _content: bytes) -> None:

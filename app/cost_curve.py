@@ -14,10 +14,17 @@ class CostCurve:
     shows as a rise of the best, the curve goes on from where it was.
     """
 
-    def __init__(self) -> None:
-        self._cost: float | None = None
-        self._level = 1.0
-        self._step = -1
+    def __init__(
+        self, cost: float | None = None, level: float = 1.0, step: int = -1
+    ) -> None:
+        """Begins a curve, or goes on with one.
+
+        Args:
+            cost: The best cost at its last step.
+            level: The curve there.
+            step: Which step that was.
+        """
+        self._cost, self._level, self.step = cost, level, step
 
     def points(self, event: Progress) -> list[CurvePoint]:
         """The event's point; none before there is a cost."""
@@ -27,16 +34,16 @@ class CostCurve:
         if self._cost is not None:
             self._level *= min(1.0, best / self._cost)
         self._cost = best
-        self._step += 1
+        self.step += 1
         low, high = event.quartile_costs or (None, None)
         return [
             CurvePoint(
-                self._step,
+                self.step,
                 self._level,
                 self._share(event.median_cost),
                 None if low is None else self._share(low),
                 None if high is None else self._share(high),
-                _mark(event, is_first=self._step == 0),
+                _mark(event, is_first=self.step == 0),
             )
         ]
 

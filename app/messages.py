@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from app.run import CurvePoint
+from app.run import CurvePoint, KeptSearch
 from app.state import (
     Agreement,
     ModelChoice,
@@ -87,6 +87,12 @@ class Refine:
     truth: tuple[Camera, ...] | None
     freedom: Freedom = dataclasses.field(default_factory=Freedom)
     """What may move."""
+    number: int = 0
+    """The run's number."""
+    kept: KeptSearch | None = None
+    """Where it goes on; None: it begins."""
+    level: float = 1.0
+    """Where the cost curve was then."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -162,6 +168,13 @@ class Live:
     """The cost curve since the last of these."""
     paused_s: float = 0.0
     """Seconds of pauses so far."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SearchKept:
+    """The refinement can go on from here if it is cut short."""
+
+    kept: KeptSearch
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -313,6 +326,7 @@ Event = (
     | MeshLoaded
     | PhotoLoaded
     | Live
+    | SearchKept
     | Picture
     | Measured
     | SurfaceDrawn

@@ -137,6 +137,7 @@ def ended(state: State, event: Refined) -> State:
             outcome = "Stopped before anything better than the start was found."
         run = dataclasses.replace(run, outcome=outcome)
     else:
+        state = dataclasses.replace(state, kept_search=None)
         run = dataclasses.replace(
             run,
             outcome=finished.reason,
@@ -159,7 +160,7 @@ def broken_off(state: State, outcome: str, keep: bool) -> State:
     if not run.is_active:
         return state
     if not keep or not has_moved(run):
-        return dataclasses.replace(state, run=Run())
+        return dataclasses.replace(state, run=Run(), kept_search=None)
     return kept(state, dataclasses.replace(run, outcome=outcome))
 
 

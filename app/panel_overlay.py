@@ -140,7 +140,9 @@ class OverlayPanel:
             self._image._data = picture
 
     def _show_comparison(self, state: State) -> None:
-        compared = self._conductor.comparison if state.run.status == "review" else None
+        compared = self._conductor.refinement.comparison
+        if state.run.status != "review":
+            compared = None
         put(self._comparison, "visible", compared is not None)
         put(self._image, "visible", compared is None)
         if compared is None or not compared.photos:

@@ -62,6 +62,9 @@ class RefinePanel:
         self._revert = gui.add_button(
             "Revert", icon=viser.Icon.ARROW_BACK_UP, color="gray", visible=False
         )
+        self._on = gui.add_button(
+            "Go on where it was", icon=viser.Icon.PLAYER_PLAY, visible=False
+        )
         self._again = gui.add_button(
             "Refine again from here", icon=viser.Icon.REPEAT, visible=False
         )
@@ -78,7 +81,7 @@ class RefinePanel:
         self._listen()
 
     def _listen(self) -> None:
-        conductor = self._conductor
+        conductor, refinement = self._conductor, self._conductor.refinement
 
         @self._preset.on_update
         @guarded
@@ -87,21 +90,22 @@ class RefinePanel:
             conductor.session.change(None, setting(preset=preset, config=None))
 
         for button, action in (
-            (self._start, conductor.refine),
-            (self._pause, conductor.pause),
-            (self._resume, conductor.resume),
-            (self._stop, conductor.stop),
-            (self._drop, lambda: conductor.stop(revert=True)),
-            (self._accept, conductor.accept),
-            (self._revert, conductor.revert),
-            (self._again, conductor.refine_again),
+            (self._start, refinement.start),
+            (self._pause, refinement.pause),
+            (self._resume, refinement.resume),
+            (self._stop, refinement.stop),
+            (self._drop, lambda: refinement.stop(revert=True)),
+            (self._accept, refinement.accept),
+            (self._revert, refinement.revert),
+            (self._on, refinement.go_on),
+            (self._again, refinement.start_again),
         ):
             button.on_click(guarded(lambda _, action=action: action()))
 
         @self._report.on_click
         @guarded_slow
         def _(event: viser.GuiEvent) -> None:
-            name, content = conductor.report()
+            name, content = refinement.report()
             if event.client is not None:
                 event.client.send_file_download(name, content, save_immediately=True)
 
@@ -130,7 +134,8 @@ class RefinePanel:
         put_value(self._bar, round(100.0 * run.fraction, 1))
         for button in (self._accept, self._revert, self._again, self._report):
             put(button, "visible", review)
-        put(self._report, "disabled", self._conductor.comparison is None)
+        put(self._on, "visible", state.can_go_on)
+        put(self._report, "disabled", self._conductor.refinement.comparison is None)
         put(self._text, "content", _report(state, ready))
         self._freedom.show(state)
         self._runs.show(state)

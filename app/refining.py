@@ -17,9 +17,12 @@ from app.messages import (
     Refine,
     Refined,
     Resume,
+    SearchKept,
     Stop,
 )
+from app.run import KeptSearch
 from photoreg.camera import Camera
+from photoreg.checkpoint import Checkpoint
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.registration import Finished, Progress, refine
@@ -28,6 +31,9 @@ PICTURE_PERIOD_S = 0.18
 """Time between overlay pictures during a refinement: five and a half a second."""
 
 LIVE_PERIOD_S = 0.08
+KEEP_PERIOD_S = 1.0
+"""Time between states that a run can go on from: 2 ms each, 60 to 200 KB."""
+
 JUDGE_PERIOD_S = 0.3
 """Time between measurements during a refinement: 2 ms each, under a hundredth of it."""
 
@@ -51,6 +57,8 @@ class Refining:
         self._view = job.view
         self._best = job.cameras
         self._paused_s = 0.0
+        self._kept_at, self._kept_phase = -np.inf, ""
+        self._search_step = -1 if job.kept is None else job.kept.step
 
     def run(self, messages: Callable[[bool], Iterator[Job]]) -> None:
         """Refines to the end, or until it is told to stop.
@@ -61,10 +69,12 @@ class Refining:
         """
         job = self._job
         start_error = true_error(self._mesh, job.truth, job.cameras)
-        finished, last, costs, curve = None, None, CostCurve(), []
+        finished, last, curve = None, None, []
+        resume = None if job.kept is None else Checkpoint.from_bytes(job.kept.content)
+        self._costs = _curve_from(job, resume)
         sent_at = judged_at = -np.inf
         for event in refine(
-            self._mesh, self._photos, job.cameras, job.config, job.freedom
+            self._mesh, self._photos, job.cameras, job.config, job.freedom, resume
         ):
             self._best = tuple(event.cameras)
             if isinstance(event, Finished):
@@ -73,7 +83,8 @@ class Refining:
             last = event
             self._paint()
             now = time.monotonic()
-            curve.extend(costs.points(event))
+            curve.extend(self._costs.points(event))
+            self._keep(event, now)
             if now - sent_at >= LIVE_PERIOD_S:
                 self._send(Live(_light(event), tuple(curve), self._paused_s))
                 sent_at = now
@@ -92,6 +103,24 @@ class Refining:
         )
         error = true_error(self._mesh, job.truth, self._best)
         self._send(Refined(self._best, finished, start_error, error, self._paused_s))
+
+    def _keep(self, event: Progress, now: float) -> None:
+        """Sends where the run can go on, every so often and where the polish begins."""
+        checkpoint = event.checkpoint
+        if checkpoint is None:
+            return
+        is_due = now - self._kept_at >= KEEP_PERIOD_S
+        if event.phase == "search":
+            self._search_step = self._costs.step
+            if not is_due:
+                return
+        elif self._kept_phase == checkpoint.phase:
+            return  # Of a polish its beginning is kept.
+        self._kept_at, self._kept_phase = now, checkpoint.phase
+        content = dataclasses.replace(
+            checkpoint, elapsed_s=checkpoint.elapsed_s - self._paused_s
+        ).to_bytes()
+        self._send(SearchKept(KeptSearch(self._job.number, self._search_step, content)))
 
     def _paint(self, period_s: float = PICTURE_PERIOD_S) -> None:
         job = self._job
@@ -117,6 +146,12 @@ class Refining:
                         self._paused_s += time.monotonic() - began
             if not is_paused:
                 return False
+
+
+def _curve_from(job: Refine, resume: Checkpoint | None) -> CostCurve:
+    if job.kept is None or resume is None:
+        return CostCurve()
+    return CostCurve(resume.search.best_cost, job.level, job.kept.step)
 
 
 def _light(event: Progress) -> Progress:

@@ -7,6 +7,7 @@ import dataclasses
 from typing import Literal
 
 from photoreg.camera import Camera
+from photoreg.freedom import Freedom
 from photoreg.presets import PresetName, RegistrationConfig
 
 Status = Literal["idle", "starting", "running", "paused", "stopping", "review"]
@@ -40,6 +41,18 @@ class CurvePoint:
     """What begins here: a restart of the search, a level of the polish."""
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class KeptSearch:
+    """From where a run can go on, to the answer it would have had without a break."""
+
+    run: int
+    """The run's number."""
+    step: int
+    """The last step of its curve that is done."""
+    content: bytes
+    """A ``photoreg.checkpoint.Checkpoint`` as bytes."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Run:
     """A refinement: running, or ended and waiting to be accepted or reverted."""
@@ -56,6 +69,8 @@ class Run:
     start: tuple[Camera, ...] = ()
     cameras: tuple[Camera, ...] = ()
     """The best so far, in the order of ``photo_names``."""
+    freedom: Freedom = dataclasses.field(default_factory=Freedom)
+    """What it may move, of ``photo_names``."""
     phase: str = ""
     step: str = ""
     fraction: float = 0.0
@@ -91,6 +106,11 @@ class Run:
     def is_active(self) -> bool:
         """Whether the worker is at it, or waits in the middle of it."""
         return self.status in ("starting", "running", "paused", "stopping")
+
+    @property
+    def is_cut_short(self) -> bool:
+        """Whether it ended, but not by itself."""
+        return self.status == "review" and self.start_cost is None
 
     @property
     def is_changed(self) -> bool:

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from app.masks import decode_mask, encode_mask
-from app.run import Run
+from app.run import KeptSearch, Run
 from app.timing import Speed
 from photoreg.camera import Camera
 from photoreg.formats.pictures import PictureKind
@@ -270,6 +270,8 @@ class State:
     """The run on screen."""
     runs: tuple[Run, ...] = ()
     """All runs that have ended, the oldest first."""
+    kept_search: KeptSearch | None = None
+    """Of the last run: its newest state, unless it came to its end by itself."""
     readiness: Readiness | None = None
     """Whether a refinement from the cameras on screen can work; None: not yet known."""
     speed: Speed | None = None
@@ -304,6 +306,14 @@ class State:
             lock_principal_point=holding("principal_point"),
             lock_pose=holding("pose"),
             share_focal=[names] if self.one_focal else (),
+        )
+
+    @property
+    def can_go_on(self) -> bool:
+        """Whether the run on screen was cut short and can go on where it was."""
+        kept = self.kept_search
+        return (
+            self.run.is_cut_short and kept is not None and kept.run == self.run.number
         )
 
     @property

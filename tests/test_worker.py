@@ -187,7 +187,7 @@ def test_killing_the_worker_keeps_the_best_and_the_next_run_works(conductor):
     conductor.on_problem = problems.append
     session = conductor.session
     session.change(None, rules.setting(preset="thorough"))
-    conductor.refine()
+    conductor.refinement.start()
     wait(conductor, improved, "the search finds something better")
     first_pid = conductor.worker.pid
     assert first_pid is not None
@@ -197,9 +197,9 @@ def test_killing_the_worker_keeps_the_best_and_the_next_run_works(conductor):
     assert "died" in state.run.outcome
     wait_until(lambda: problems, "the user is told")
     assert "cut short" in problems[0]
-    conductor.accept()
+    conductor.refinement.accept()
     session.change(None, rules.setting(preset="fast"))
-    conductor.refine()
+    conductor.refinement.start()
     state = wait(conductor, lambda s: s.run.status == "review", "the next run ends")
     assert conductor.worker.pid != first_pid
     assert state.run.cost is not None
@@ -211,14 +211,14 @@ def test_a_run_goes_from_start_to_accept_and_back_by_undo(conductor):
     session = conductor.session
     session.change(None, rules.setting(preset="fast"))
     before = session.state.document
-    conductor.refine()
+    conductor.refinement.start()
     with pytest.raises(RefinementError, match="running"):
-        conductor.refine()
+        conductor.refinement.start()
     state = wait(conductor, lambda s: s.run.status == "review", "the run ends")
     costs = [point.best for point in state.run.curve]
     assert len(costs) > 3
     assert session.state.document is before, "nothing is taken before Accept"
-    conductor.accept()
+    conductor.refinement.accept()
     assert session.undo() == "Refine"
     assert session.state.document is before
 
@@ -226,13 +226,41 @@ def test_a_run_goes_from_start_to_accept_and_back_by_undo(conductor):
 def test_a_conductor_s_stop_waits_for_a_decision(conductor):
     session = conductor.session
     session.change(None, rules.setting(preset="thorough"))
-    conductor.refine()
+    conductor.refinement.start()
     wait(conductor, lambda s: s.run.status == "running", "the search runs")
-    conductor.stop()
+    conductor.refinement.stop()
     state = wait(conductor, lambda s: s.run.status == "review", "it stops")
     assert state.run.outcome.startswith("Stopped")
-    conductor.revert()
+    conductor.refinement.revert()
     assert session.state.run.status == "idle"
+
+
+def test_a_run_that_was_stopped_goes_on_to_the_answer_of_one_without_a_break(
+    conductor, scene
+):
+    session, steps = conductor.session, []
+    config = dataclasses.replace(
+        FAST, genetic=dataclasses.replace(FAST.genetic, generations=80)
+    )
+    session.listen(lambda _, new: steps.append(new.run.step))
+    session.change(None, rules.setting(preset="fast", config=config))
+    conductor.refinement.start()
+    wait(conductor, lambda s: s.kept_search is not None, "something is kept")
+    conductor.refinement.stop()
+    wait(conductor, lambda s: s.run.status == "review", "it stops")
+    assert session.state.can_go_on
+    steps.clear()
+    conductor.refinement.go_on()
+    state = wait(conductor, lambda s: s.run.status == "review", "it ends")
+    assert not state.can_go_on, "it came to its end"
+    assert len(state.runs) == 1
+    assert "generation 1 of 80" not in steps, "what was done is not done again"
+    names = [point.step for point in state.run.curve]
+    assert names == sorted(set(names)), "the curve goes on where it was"
+    *_, last = refine(scene.mesh, scene.photos, state.run.start, config)
+    assert isinstance(last, Finished)
+    for ours, direct in zip(state.run.cameras, last.cameras, strict=True):
+        assert np.array_equal(ours.P, direct.P)
 
 
 def test_an_uploaded_photo_gets_a_camera_that_sees_the_object(conductor, scene):

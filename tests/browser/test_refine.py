@@ -31,8 +31,11 @@ def app(open_app_once):
     return app
 
 
-def start(app, preset: PresetName = "thorough") -> None:
-    """Starts a run and waits until it has something to offer."""
+def start(app, preset: PresetName = "thorough", hold: bool = True) -> None:
+    """Starts a run and waits until it has something to offer; then holds it there.
+
+    Held, it does not end by itself while a slow browser makes ready to click.
+    """
     app.session.change(None, setting(preset=preset))
     wait_until(lambda: app.state.worker == "", "the worker is ready", 120)
     app.driver.click("Refine")
@@ -41,6 +44,9 @@ def start(app, preset: PresetName = "thorough") -> None:
         "the run finds something better",
         240,
     )
+    if hold:
+        app.conductor.refinement.pause()
+        wait_until(lambda: app.state.run.status == "paused", "it pauses")
 
 
 def drop(app) -> None:
@@ -60,7 +66,7 @@ def to_its_end(app) -> None:
 
 
 def test_a_paused_run_stands_still_and_goes_on_when_resumed(app):
-    start(app)
+    start(app, hold=False)
     app.driver.click("Pause")
     wait_until(lambda: app.state.run.status == "paused", "it pauses")
     # What was on its way arrives; then nothing more comes.
@@ -96,6 +102,22 @@ def test_stop_and_keep_offers_the_best_so_far(app):
     wait_until(lambda: app.state.undo_name is None, "undo takes it back")
 
 
+def test_a_stopped_run_goes_on_and_may_be_stopped_again(app):
+    start(app)
+    app.driver.click("Stop and keep the best")
+    wait_until(lambda: app.state.run.status == "review", "it stops", 60)
+    number, course = app.state.run.number, app.state.run.curve
+    app.driver.click("Go on where it was")
+    wait_until(
+        lambda: app.state.run.is_active and len(app.state.run.curve) > len(course),
+        "it goes on",
+    )
+    assert app.state.run.number == number
+    costs = [point.best for point in app.state.run.curve]
+    assert costs == sorted(costs, reverse=True)
+    drop(app)
+
+
 def test_what_is_ticked_stays_to_the_last_bit(app):
     first, second = (entry.camera for entry in app.state.document.photos)
     app.driver.page.get_by_text("What may move").click()
@@ -105,7 +127,7 @@ def test_what_is_ticked_stays_to_the_last_bit(app):
     for label in ("Keep place and turn", "Keep focal length", "Keep principal point"):
         app.driver.page.get_by_label(label).nth(0).check()
     wait_until(lambda: len(app.state.held) == 4, "the ticks arrive")
-    start(app, "fast")
+    start(app, "fast", hold=False)
     to_its_end(app)
     kept, moved = app.state.run.cameras
     np.testing.assert_array_equal(kept.K, first.K)
@@ -123,8 +145,8 @@ def test_another_browser_sees_the_run_and_may_stop_it(app, chromium):
     try:
         other = Driver(window, f"http://127.0.0.1:{app.page.port}")
         other.tab("3 Refine")
-        if app.state.run.is_active:
-            other.click("Stop and keep the best")
+        assert other.page.get_by_text("Paused: generation").is_visible()
+        other.click("Stop and keep the best")
         wait_until(lambda: app.state.run.status == "review", "it ends", 60)
         other.frames(2)
         assert other.page.get_by_role("button", name="Accept", exact=True).is_visible()
@@ -135,14 +157,12 @@ def test_another_browser_sees_the_run_and_may_stop_it(app, chromium):
 
 def test_a_killed_worker_costs_no_work_and_the_next_run_ends(app):
     start(app)
-    app.driver.click("Pause")
-    wait_until(lambda: app.state.run.status == "paused", "it pauses")
     os.kill(app.conductor.worker.pid, signal.SIGKILL)
     wait_until(lambda: app.state.run.status == "review", "the page knows", 5)
     assert "died" in app.state.run.outcome
     assert app.state.run.cameras
     drop(app)
-    start(app, "fast")
+    start(app, "fast", hold=False)
     to_its_end(app)
     drop(app)
     assert "died" not in app.state.runs[-1].outcome
