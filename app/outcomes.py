@@ -17,6 +17,7 @@ from app.run import CurvePoint, Run
 from app.state import Document, Job, State, same_camera
 from app.timing import seconds_left
 from photoreg.camera import Camera
+from photoreg.events import Finished
 
 MAX_CURVE_POINTS = 600
 """Beyond this every second point of the cost curve is dropped."""
@@ -140,7 +141,7 @@ def ended(state: State, event: Refined) -> State:
         state = dataclasses.replace(state, kept_search=None)
         run = dataclasses.replace(
             run,
-            outcome=finished.reason,
+            outcome=_in_words(finished),
             warnings=tuple(finished.warnings),
             start_cost=finished.start_cost,
             cost=finished.cost,
@@ -152,6 +153,14 @@ def ended(state: State, event: Refined) -> State:
             undetermined=tuple(finished.undetermined),
         )
     return kept(state, run)
+
+
+def _in_words(finished: Finished) -> str:
+    """Why it ended, and what to think of it; what is doubted stands in the warnings."""
+    verdict = finished.verdict
+    if verdict is None or not verdict.is_convincing:
+        return finished.reason
+    return f"{finished.reason} {verdict.sentence}"
 
 
 def broken_off(state: State, outcome: str, keep: bool) -> State:

@@ -1,9 +1,10 @@
-"""One number for how well cameras fit photos and mesh, measured alike at any pose.
+"""How well cameras fit photos and mesh, measured alike at any pose.
 
 The polish's own cost holds points, edges and noise that were measured at one pose, so
-it cannot compare two. This one measures everything afresh at the pose it judges.
+it cannot compare two. Here everything is measured afresh at the pose that is judged.
 """
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,6 +15,7 @@ from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.photometric import (
     EDGE_MARGIN_PX,
+    SurfaceView,
     cell_means,
     measure_noise,
     pair_points,
@@ -29,22 +31,46 @@ CELL_PX = 48.0
 N_POINTS = 6_000
 """Surface points over all pairs of photos; a pair has ``MIN_POINTS`` or more."""
 MIN_POINTS = 1_000
+MIN_CELL_POINTS = 8
+"""Fewer points than this say too little of their cell."""
 RIM_POINTS = 400
 RIM_REACH_PX = 8.0
 """A rim point without an edge this near counts as this far off."""
 
 
+@dataclasses.dataclass(frozen=True)
+class Disagreement:
+    """How badly cameras fit, colours and outlines apart: 0 is perfect, 1 chance."""
+
+    colours: dict[tuple[int, int], float]
+    """Of each pair of photos: the mean squared difference over the surface points that
+    both see, after gain and the slow changes of light, cut off at and relative to what
+    unrelated colours of the same contrast would give; 1 where nothing is shared."""
+    typical_colours: dict[tuple[int, int], float]
+    """The same of each pair's median cell: what covers less than half of the surface in
+    one photo is not in it."""
+    outlines: tuple[float, ...]
+    """Of each photo: the mean squared distance of the rim to the nearest clear edge,
+    cut off at and relative to ``RIM_REACH_PX``; 1 where there is no rim."""
+
+    @property
+    def total(self) -> float:
+        """One number to compare by: mean of the colours plus mean of the outlines."""
+        colour = float(np.mean(list(self.colours.values()))) if self.colours else 1.0
+        return colour + float(np.mean(self.outlines))
+
+    def typical_colour_of(self, photo: int) -> float:
+        """Typical colours of the pair of ``photo`` that agrees best; 1: no pair."""
+        return min(
+            (share for pair, share in self.typical_colours.items() if photo in pair),
+            default=1.0,
+        )
+
+
 def disagreement(
     mesh: Mesh, photos: Sequence[Photo], cameras: Sequence[Camera], min_cosine: float
-) -> float:
-    """Colours that differ on the surface plus rim off the edges; 0 is perfect, 2 chance.
-
-    Colours: the mean squared difference of two photos over the surface points that
-    both see, after gain and the slow changes of light, cut off at and relative to what
-    unrelated colours of the same contrast would give; 1 where nothing is shared. Rim:
-    the mean squared distance to the nearest clear edge, cut off at and relative to
-    ``RIM_REACH_PX``; 1 where there is no rim.
-    """
+) -> Disagreement:
+    """Colours that differ on the surface, and rims off the photos' edges."""
     small = [_reduced(camera) for camera in cameras]
     views = surface_views(mesh, small)
     images = [
@@ -52,7 +78,7 @@ def disagreement(
         for photo, view in zip(photos, views, strict=True)
     ]
     n_pairs = max(1, len(photos) * (len(photos) - 1) // 2)
-    colour = []
+    colours, typical_colours = {}, {}
     for k in range(len(photos)):
         for i in range(k):
             surface = pair_points(
@@ -66,7 +92,7 @@ def disagreement(
                 seed=0,
             )
             if len(surface.points) < 100:
-                colour.append(1.0)
+                colours[i, k] = typical_colours[i, k] = 1.0
                 continue
             values = np.stack(
                 [
@@ -75,17 +101,23 @@ def disagreement(
                 ],
                 axis=1,
             )
-            colour.append(_colour_share(values, surface.cell_starts))
-    rims = []
-    for photo, view in zip(photos, views, strict=True):
-        rim = find_rim(mesh, view, RIM_POINTS)
-        if len(rim.points) < 20:
-            rims.append(1.0)
-            continue
-        offset = np.abs(find_edges(photo, view, rim, RIM_REACH_PX).offset_px)
-        offset = np.minimum(np.nan_to_num(offset, nan=RIM_REACH_PX), RIM_REACH_PX)
-        rims.append(float(np.mean((offset / RIM_REACH_PX) ** 2)))
-    return (float(np.mean(colour)) if colour else 1.0) + float(np.mean(rims))
+            colours[i, k], typical_colours[i, k] = _colour_shares(
+                values, surface.cell_starts
+            )
+    outlines = tuple(
+        _outline_share(mesh, photo, view)
+        for photo, view in zip(photos, views, strict=True)
+    )
+    return Disagreement(colours, typical_colours, outlines)
+
+
+def _outline_share(mesh: Mesh, photo: Photo, view: SurfaceView) -> float:
+    rim = find_rim(mesh, view, RIM_POINTS)
+    if len(rim.points) < 20:
+        return 1.0
+    offset = np.abs(find_edges(photo, view, rim, RIM_REACH_PX).offset_px)
+    offset = np.minimum(np.nan_to_num(offset, nan=RIM_REACH_PX), RIM_REACH_PX)
+    return float(np.mean((offset / RIM_REACH_PX) ** 2))
 
 
 def _reduced(camera: Camera) -> Camera:
@@ -95,7 +127,8 @@ def _reduced(camera: Camera) -> Camera:
     )
 
 
-def _colour_share(values: np.ndarray, cell_starts: np.ndarray) -> float:
+def _colour_shares(values: np.ndarray, cell_starts: np.ndarray) -> tuple[float, float]:
+    """Over all points, cut off at chance; and of the median cell."""
     gain = measure_noise(values, cell_starts)[0]
     counts = np.diff(cell_starts)
     pair = np.stack([values[:, 0] * gain, values[:, 1] / gain])
@@ -107,5 +140,14 @@ def _colour_share(values: np.ndarray, cell_starts: np.ndarray) -> float:
     )
     # What unrelated colours of this contrast would differ by.
     chance = (inner**2).mean(axis=1).sum(axis=0)
-    squared = np.minimum((inner[0] - inner[1]) ** 2, 2.0 * chance)
-    return float(min(1.0, squared.mean(axis=0).sum() / max(chance.sum(), 1e-12)))
+    squared = (inner[0] - inner[1]) ** 2
+    share = np.minimum(squared, 2.0 * chance).mean(axis=0).sum() / max(
+        chance.sum(), 1e-12
+    )
+    big = counts >= MIN_CELL_POINTS
+    if not big.any():
+        return float(min(1.0, share)), 1.0
+    differ = np.add.reduceat(squared.sum(axis=1), cell_starts[:-1])[big]
+    by_chance = np.add.reduceat((inner**2).sum(axis=(0, 2)), cell_starts[:-1])[big]
+    typical = np.median(differ / np.maximum(by_chance, 1e-12))
+    return float(min(1.0, share)), float(min(1.0, typical))

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from photoreg.agreement import disagreement
+from photoreg.agreement import Disagreement, disagreement
 from photoreg.camera import Camera
 from photoreg.errors import InputError, RefinementError
 from photoreg.freedom import Freedom
@@ -102,10 +102,11 @@ class PolishStep:
     """What moved by itself; see ``increments.free_directions``."""
     warnings: tuple[str, ...]
     """What the user should know, in sentences."""
-    disagreement: float | None = None
+    disagreement: Disagreement | None = None
     """Of the last step only: ``agreement.disagreement`` of these cameras."""
-    start_disagreement: float | None = None
-    """Of the last step only: the same of the cameras it started from. Never lower."""
+    start_disagreement: Disagreement | None = None
+    """Of the last step only: the same of the cameras it started from. Its total is
+    never lower."""
 
 
 def polish_cameras(
@@ -116,7 +117,7 @@ def polish_cameras(
     config: PolishConfig | None = None,
     seed: int = 0,
     box_scale: float = 1.0,
-    start_disagreement: float | None = None,
+    start_disagreement: Disagreement | None = None,
     freedom: Freedom | None = None,
 ) -> Iterator[PolishStep]:
     """Moves all cameras at once to where the photos agree on the surface.
@@ -210,14 +211,14 @@ def _better_end(
     mesh: Mesh,
     photos: Sequence[Photo],
     cameras: Sequence[Camera],
-    before: float,
+    before: Disagreement,
     x_start: np.ndarray,
     latest: PolishStep,
     config: PolishConfig,
 ) -> PolishStep:
     """The polished cameras, or those it started from where they fit better."""
     after = disagreement(mesh, photos, latest.cameras, config.min_cosine)
-    if after <= before:
+    if after.total <= before.total:
         return dataclasses.replace(
             latest, disagreement=after, start_disagreement=before
         )

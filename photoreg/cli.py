@@ -141,6 +141,8 @@ def _refine_command(preset: RegistrationConfig) -> Callable[..., int]:
                 f"Cost {last.start_cost:.4g} -> {last.cost:.4g} in "
                 f"{last.elapsed_s:.1f} s. {last.reason} Cameras written to {out}."
             )
+            if last.verdict is not None and last.verdict.is_convincing:
+                _log.print(last.verdict.sentence)
             for sentence in (*last.standard_errors, *last.undetermined):
                 _log.print(sentence)
         if json:
@@ -151,6 +153,7 @@ def _refine_command(preset: RegistrationConfig) -> Callable[..., int]:
             }
             if isinstance(last, Finished):
                 figures["expected_error_px"] = last.expected_error_px
+                figures["verdict"] = last.verdict and dataclasses.asdict(last.verdict)
             _print_json({**figures, "stopped": interrupted, "out": str(out)})
         return 1 if interrupted else 0
 

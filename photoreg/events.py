@@ -9,6 +9,7 @@ from jaxtyping import Float
 from photoreg.camera import Camera
 from photoreg.checkpoint import Checkpoint
 from photoreg.genes import GeneMap
+from photoreg.verdict import Verdict
 
 Phase = Literal["prepare", "search", "polish"]
 
@@ -101,6 +102,10 @@ class Finished:
     """How sure each camera is, in plain words: one sentence a photo that took part."""
     undetermined: tuple[str, ...] = ()
     """What the photos leave open, in plain words, the weakest first."""
+    verdict: Verdict | None = None
+    """Whether the answer convinces. An unconvincing one is the first of the warnings
+    too. None where no polish ran: what the search alone finds is not precise enough to
+    be judged."""
 
     @property
     def expected_error_px(self) -> float | None:

@@ -2,26 +2,25 @@
 
 import dataclasses
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 
 import numpy as np
 
-from photoreg.agreement import disagreement
+from photoreg.agreement import Disagreement, disagreement
 from photoreg.alignment import PolishStep, polish_cameras
 from photoreg.camera import Camera
 from photoreg.checkpoint import Checkpoint, problem_digest
-from photoreg.consistency import PhotoConsistency, patches_of
 from photoreg.errors import InputError, RefinementError
 from photoreg.events import Event, Finished, Phase, Population, Progress
-from photoreg.foreground import Foreground
 from photoreg.freedom import Freedom
 from photoreg.genes import GeneMap
-from photoreg.genetic import Generation, evolve
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.presets import OBJECT_BOX, PresetName, RegistrationConfig
-from photoreg.sampling import SurfaceSamples, sample_surface
+from photoreg.sampling import sample_surface
+from photoreg.search import Search
 from photoreg.uncertainty import Uncertainty, estimate_uncertainty
+from photoreg.verdict import Verdict, judge
 from photoreg.visibility import visible
 
 __all__ = [
@@ -37,11 +36,6 @@ __all__ = [
 
 MIN_OVERLAP = 0.1
 """Share of what the photos see that two must see, lest the user is warned."""
-
-CONVINCING = 0.75
-"""A polish that leaves more than this share of the disagreement of start or search,
-whichever is larger, is doubted, and tried again from the other of the two. Ends in the
-wrong place left 0.87 and more, the right ones 0.04 (clean) to 0.6 (fountain)."""
 
 FIRST_POLISH_SHARE = 0.9
 """Share of the progress bar at which the first polish ends; a second is rare."""
@@ -119,8 +113,6 @@ class _Run:
         self.best = self.begun
         self.problem = problem_digest(mesh, photos, cameras, config, freedom)
         self.resume: Checkpoint | None = None
-        self.hidden_from: np.ndarray | None = None
-        """Genes from whose cameras hidden points were last looked for."""
         self.checkpoint: Checkpoint | None = None
         self.began = time.perf_counter()
         self.seconds: dict[str, float] = {}
@@ -129,6 +121,7 @@ class _Run:
         self.reason = ""
         self.start_cost = self.cost = np.inf
         self.uncertainty: Uncertainty | None = None
+        self.verdict: Verdict | None = None
         self.reduced: tuple[Photo, ...] = ()
         """The photos that take part, as small as the polish wants them."""
 
@@ -142,34 +135,17 @@ class _Run:
 
     def events(self) -> Generator[Event, None, None]:
         yield self._progress("prepare", "getting ready", 0.0, np.inf, np.inf)
-        mesh, config = self.mesh, self.config
         self._leave_out_the_blind()
-        samples = shared_samples(mesh, self.start, config)
-        patches = None
-        if config.consistency.cost == "mncc":
-            patches = patches_of(mesh, samples, self.start, config.consistency)
-        consistency = PhotoConsistency(
-            samples, self.photos, config.consistency, patches=patches
-        )
-        gene_map = GeneMap(
-            self.start,
-            mesh.centroid,
-            config.box,
-            config.camera_model,
-            config.coordinates,
-            self.freedom,
-        )
-        self._hide(consistency, self.start)
-        consistency.require(self.start)
+        search = Search(self.mesh, self.photos, self.start, self.config, self.freedom)
         self._clock("prepare")
-        yield from self._search(consistency, gene_map)
+        yield from self._search(search)
         self._clock("search")
-        if config.polish_after:
+        if self.config.polish_after:
             if self.checkpoint is not None:
                 self.checkpoint = dataclasses.replace(self.checkpoint, phase="polish")
             yield from self._polish()
             self._clock("polish")
-        yield self._finished(consistency, gene_map)
+        yield self._finished(search)
 
     @property
     def photos(self) -> tuple[Photo, ...]:
@@ -180,6 +156,11 @@ class _Run:
     def start(self) -> tuple[Camera, ...]:
         """The pre-registration of the photos that take part."""
         return tuple(self.begun[i] for i in self.active)
+
+    @property
+    def _names(self) -> tuple[str, ...]:
+        """What the photos that take part are called."""
+        return tuple(photo.name for photo in self.photos)
 
     @property
     def freedom(self) -> Freedom:
@@ -223,56 +204,18 @@ class _Run:
             complete[i] = camera
         return tuple(complete)
 
-    def _hide(self, consistency: PhotoConsistency, cameras: Sequence[Camera]) -> None:
-        """Takes away the votes of what cannot be seen from ``cameras``."""
-        method = self.config.occlusion
-        if method != "normals":
-            # Which way a point faces is tested for each individual: not here.
-            consistency.allow(
-                visible(consistency.samples, cameras, self.mesh, method, min_cosine=0.0)
-            )
-
-    def _search_cost(
-        self, consistency: PhotoConsistency, gene_map: GeneMap
-    ) -> Callable[[np.ndarray], np.ndarray]:
-        """Cost of genes: colours that differ, object off its colours, far from start."""
-        pull, share = self.config.pull, self.config.foreground
-        if share == 0.0:
-            return lambda genes: (
-                consistency.costs(genes, gene_map)
-                * (1.0 + pull * np.mean(genes**2, axis=1))
-            )
-        foreground = Foreground(self.mesh, self.photos, self.start, self.config.seed)
-        # In units of the colours' cost: as the start has it, all of it disagreement.
-        unit = share * consistency.cost(self.start)
-        return lambda genes: (
-            (
-                consistency.costs(genes, gene_map)
-                + unit * foreground.misfits(genes, gene_map)
-            )
-            * (1.0 + pull * np.mean(genes**2, axis=1))
-        )
-
-    def _search(
-        self, consistency: PhotoConsistency, gene_map: GeneMap
-    ) -> Iterator[Progress]:
+    def _search(self, search: Search) -> Iterator[Progress]:
         config, settings = self.config, self.config.genetic
         budget = settings.generations * settings.restarts
         share = SEARCH_SHARE if config.polish_after else 1.0
-        kept = last = self._gone_on(consistency, gene_map)
-        for last in evolve(
-            self._search_cost(consistency, gene_map),
-            lambda n, rng: gene_map.first_population(
-                n, rng, config.tie_focal_to_distance
-            ),
-            settings,
-            config.seed,
-            start=np.zeros(gene_map.n_genes),
-            resume=kept,
-        ):
+        last = None
+        if self.resume is not None:
+            self.best = search.go_on_from(self.resume)
+            self.checkpoint, last = self.resume, self.resume.search
+        for last in search.generations():
             self.generations += last.generation > 0
             self.evaluations = last.evaluations
-            self.best = tuple(gene_map.to_cameras(last.best_genes))
+            self.best = search.cameras(last)
             done = last.restart * settings.generations + last.generation
             self.checkpoint = Checkpoint(
                 self.problem,
@@ -280,7 +223,7 @@ class _Run:
                 self.generations,
                 self._elapsed_s,
                 last,
-                self.hidden_from,
+                search.hidden_from,
             )
             begins = None
             if last.generation == 0:
@@ -295,9 +238,8 @@ class _Run:
                 ),
                 quartile_costs=last.quartiles,
                 begins=begins,
-                population=Population(last.genes, last.costs, gene_map),
+                population=Population(last.genes, last.costs, search.gene_map),
             )
-            self._renew_hidden(last, consistency, gene_map)
         assert last is not None
         if last.stop == "cost level":
             self.reason = (
@@ -307,40 +249,6 @@ class _Run:
             self.reason = "The search stopped improving."
         else:
             self.reason = "All generations of the search are done."
-
-    def _gone_on(
-        self, consistency: PhotoConsistency, gene_map: GeneMap
-    ) -> Generation | None:
-        """Brings back what the checkpoint to resume from had reached, if any.
-
-        Raises:
-            InputError: if the checkpoint is of another search.
-        """
-        if self.resume is None:
-            return None
-        last, settings = self.resume.search, self.config.genetic
-        wanted = (settings.population, gene_map.n_genes)
-        if last.genes.shape != wanted or last.restart >= settings.restarts:
-            raise InputError(
-                f"The kept search should have {wanted[0]} individuals of {wanted[1]} "
-                f"genes, but has {last.genes.shape[0]} of {last.genes.shape[1]}; start "
-                "the refinement anew."
-            )
-        self.checkpoint = self.resume
-        self.best = tuple(gene_map.to_cameras(last.best_genes))
-        self.hidden_from = self.resume.hidden_from
-        if self.hidden_from is not None:
-            self._hide(consistency, gene_map.to_cameras(self.hidden_from))
-        self._renew_hidden(last, consistency, gene_map)
-        return last
-
-    def _renew_hidden(
-        self, last: Generation, consistency: PhotoConsistency, gene_map: GeneMap
-    ) -> None:
-        """Looks anew for hidden points where one restart ends and another follows."""
-        if last.stop is not None and last.restart + 1 < self.config.genetic.restarts:
-            self.hidden_from = last.best_genes
-            self._hide(consistency, gene_map.to_cameras(last.best_genes))
 
     def _polish(self) -> Iterator[Progress]:
         """Polishes from where search or start agree better; from both when in doubt."""
@@ -354,28 +262,28 @@ class _Run:
         ways = {"start": self.start}
         if self.best != self.start:
             ways["search"] = self.best
-        scores = {
+        fits = {
             way: disagreement(self.mesh, self.reduced, cameras, min_cosine)
             for way, cameras in ways.items()
         }
-        self.start_cost = scores["start"]
+        self.start_cost = fits["start"].total
         answer: PolishStep | None = None
-        for way in sorted(ways, key=lambda way: (scores[way], way)):
+        for way in sorted(ways, key=lambda way: (fits[way].total, way)):
             last: PolishStep | None = None
-            for step, event in self._polish_from(ways[way], scores[way], answer):
+            for step, event in self._polish_from(ways[way], fits[way], answer):
                 last = step
                 yield event
             assert last is not None
             assert last.disagreement is not None
-            if answer is None or last.disagreement < self.cost:
-                answer, self.cost = last, last.disagreement
+            if answer is None or last.disagreement.total < self.cost:
+                answer, self.cost = last, last.disagreement.total
+                self.verdict = judge(last.disagreement, self._names)
             self.best = answer.cameras
-            if self.cost < CONVINCING * max(scores.values()):
+            if self.verdict is not None and self.verdict.is_convincing:
                 break
         assert answer is not None
         self.warnings += answer.warnings
-        names = tuple(photo.name for photo in self.photos)
-        self.uncertainty = estimate_uncertainty(self.mesh, answer, names)
+        self.uncertainty = estimate_uncertainty(self.mesh, answer, self._names)
         self.reason += " The polish is done."
         yield dataclasses.replace(
             self._progress("polish", "polish done", 1.0, answer.cost, answer.cost),
@@ -383,7 +291,7 @@ class _Run:
         )
 
     def _polish_from(
-        self, cameras: tuple[Camera, ...], score: float, answer: PolishStep | None
+        self, cameras: tuple[Camera, ...], fit: Disagreement, answer: PolishStep | None
     ) -> Iterator[tuple[PolishStep, Progress]]:
         """One polish; a second one keeps showing the ``answer`` of the first."""
         first, last = SEARCH_SHARE, FIRST_POLISH_SHARE
@@ -398,7 +306,7 @@ class _Run:
             self.config.polish,
             self.config.seed,
             self.config.box.rotation_deg / OBJECT_BOX.rotation_deg,
-            score,
+            fit,
             self.freedom,
         ):
             if answer is None:
@@ -416,17 +324,19 @@ class _Run:
             )
             yield step, dataclasses.replace(progress, begins=None if steps else words)
 
-    def _finished(self, consistency: PhotoConsistency, gene_map: GeneMap) -> Finished:
+    def _finished(self, search: Search) -> Finished:
         if not self.config.polish_after:
-            self.start_cost = consistency.cost(self.start)
-            self.cost = consistency.cost(self.best)
+            self.start_cost = search.consistency.cost(self.start)
+            self.cost = search.consistency.cost(self.best)
         if not self.cost <= self.start_cost:
             self.best, self.cost = self.start, self.start_cost
             self.reason = "Nothing better than the start was found."
+        if self.verdict is not None and not self.verdict.is_convincing:
+            self.warnings.insert(0, self.verdict.sentence)
         # The search cannot leave its box; the polish can, and by less than half an
         # interval it often rightly does.
         self.warnings += border_warnings(
-            gene_map, self.best, 1.5 if self.config.polish_after else 0.99
+            search.gene_map, self.best, 1.5 if self.config.polish_after else 0.99
         )
         return Finished(
             self._all(self.best),
@@ -439,6 +349,7 @@ class _Run:
             self.evaluations,
             self.seconds,
             *self._how_sure(),
+            verdict=self.verdict,
         )
 
     def _how_sure(
@@ -480,32 +391,6 @@ class _Run:
             self._all(self.best),
             checkpoint=self.checkpoint,
         )
-
-
-def shared_samples(
-    mesh: Mesh, cameras: Sequence[Camera], config: RegistrationConfig
-) -> SurfaceSamples:
-    """The points to compare; only where two photos may see them, if so configured.
-
-    Raises:
-        RefinementError: if two photos share fewer than 10 points.
-    """
-    if not config.focus_samples:
-        return sample_surface(mesh, config.samples, config.seed)
-    # Ten times as many as wanted are enough where a tenth of the surface is shared.
-    candidates = sample_surface(mesh, 10 * config.samples, config.seed)
-    seen = visible(candidates, cameras, mesh, "rays", config.consistency.min_cosine)
-    shared = np.flatnonzero(seen.sum(axis=0) >= 2)
-    if len(shared) < 10:
-        raise RefinementError(
-            "The photos show hardly any common part of the surface with these cameras, "
-            f"so they cannot be compared ({len(shared)} of {len(candidates)} points). "
-            "Align the cameras, or take photos from nearer viewpoints."
-        )
-    if len(shared) > config.samples:
-        rng = np.random.default_rng(config.seed)
-        shared = np.sort(rng.choice(shared, config.samples, replace=False))
-    return candidates.subset(shared)
 
 
 def border_warnings(

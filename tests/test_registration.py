@@ -6,7 +6,7 @@ import numba as nb
 import numpy as np
 import pytest
 
-from photoreg import registration
+from photoreg import registration, verdict
 from photoreg.agreement import disagreement
 from photoreg.alignment import PolishConfig
 from photoreg.camera import Camera
@@ -73,7 +73,8 @@ def test_a_search_that_misleads_is_not_followed(monkeypatch):
     scene = small_scene()
     lost = tuple(rough_start(scene.mesh, scene.cameras, (30.0, 40.0), seed=5))
 
-    def misled(self, consistency, gene_map):
+    def misled(self, search):
+        del search
         self.best = lost
         return iter(())
 
@@ -93,13 +94,14 @@ def test_a_doubtful_polish_is_tried_from_the_other_side_too(monkeypatch):
         return original(mesh, photos, cameras, *rest)
 
     monkeypatch.setattr(registration, "polish_cameras", watched)
-    monkeypatch.setattr(registration, "CONVINCING", 0.0)
+    monkeypatch.setattr(verdict, "COLOURS_AGREE", -1.0)
+    monkeypatch.setattr(verdict, "OUTLINE_FITS", -1.0)
     quick = PolishConfig(blurs_px=(2.0,), points=(500,), rounds=(1,), iterations=2)
     last = end(dataclasses.replace(SEARCH, polish_after=True, polish=quick))
     assert len(starts) == 2
     assert any(same_cameras(start, scene.rough_cameras) for start in starts)
     costs = [
-        disagreement(scene.mesh, scene.photos, start, quick.min_cosine)
+        disagreement(scene.mesh, scene.photos, start, quick.min_cosine).total
         for start in starts
     ]
     assert last.cost <= min(costs), (last.cost, costs)
