@@ -27,6 +27,7 @@ def run_app(
     host: str = "127.0.0.1",
     port: int = 8080,
     open_browser: bool = True,
+    shadows: bool = True,
 ) -> int:
     """Serves the app until it is interrupted; returns the exit status.
 
@@ -38,6 +39,7 @@ def run_app(
         host: Address to listen on.
         port: Port to listen on; the next free one is taken when it is busy.
         open_browser: Whether to open the page, where there is a browser.
+        shadows: Whether the scene is drawn with shadows; they cost a slow browser much.
 
     Raises:
         InputError: if a file is missing or not valid.
@@ -51,7 +53,7 @@ def run_app(
         conductor = Conductor(session)
         if projects.current is not None and not projects.is_read_only:
             conductor.intake.keep_file = projects.current.keep_file
-        page = Page(session, conductor, host, port)
+        page = Page(session, conductor, host, port, shadows)
         if page.port != port and port != 0:
             _say(f"Port {port} is taken, so photoreg uses {page.port}.")
         shown = "127.0.0.1" if host in ("", "0.0.0.0") else host

@@ -1,6 +1,7 @@
 """Work that outlives the program: undo history, choices, runs, a process that is killed."""
 
 import dataclasses
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +11,7 @@ import pytest
 from app.autosave import DOCUMENT_TYPES
 from app.main import open_project
 from app.projects import Projects
-from app.run import CurvePoint, Run
+from app.run import CurvePoint, KeptSearch, Run
 from app.session import Session, select, setting, with_document, with_entry
 from photoreg.errors import InputError, OutputError
 from photoreg.presets import RegistrationConfig
@@ -74,6 +75,40 @@ def test_history_choices_and_runs_survive_a_restart(tmp_path: Path) -> None:
     again.change(None, setting(run=Run()))
     assert again.undo() == "Move camera 1"
     assert (again.state.document.photos[0].camera.K == camera.K).all()
+    projects.close()
+
+
+def test_a_run_that_is_cut_short_can_go_on_after_a_restart(tmp_path: Path) -> None:
+    session, projects = _opened(tmp_path / "work")
+    entry = session.state.document.photos[0]
+    run = Run(
+        "running",
+        3,
+        config=RegistrationConfig(),
+        photo_names=(entry.name,),
+        start=(entry.camera,),
+        cameras=(entry.camera,),
+        curve=tuple(CurvePoint(i, 1.0 - 0.1 * i, 1.0) for i in range(6)),
+    )
+    kept = KeptSearch(3, 4, b"where it stands")
+    session.change(None, setting(run=run, kept_search=kept))
+    projects.wait()
+    # As a kill leaves it: nobody has closed it.
+    shutil.copytree(tmp_path / "work", tmp_path / "killed")
+
+    again, killed = _opened(tmp_path / "killed")
+    found = again.state.kept_search
+    assert again.state.can_go_on
+    assert found is not None
+    assert (found.run, found.step, found.content) == (3, 4, b"where it stands")
+    assert killed.current is not None
+    assert len(killed.current.runs.generations(1)) == 6
+    whole = dataclasses.replace(again.state.run, start_cost=2.0, cost=1.0)
+    again.change(None, setting(run=whole, runs=(whole,), kept_search=None))
+    killed.wait()
+    assert killed.current.runs.unfinished_run() is None
+    assert killed.current.runs.run(1).cost == 1.0
+    killed.close()
     projects.close()
 
 
