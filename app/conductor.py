@@ -22,13 +22,9 @@ from app.messages import (
     Event,
     Failed,
     Live,
-    LoadMesh,
-    LoadPhoto,
     Measured,
-    MeshLoaded,
     Pack,
     Packed,
-    PhotoLoaded,
     Picture,
     Ready,
     Refine,
@@ -83,12 +79,7 @@ class Conductor:
         self.worker = Worker(self._on_event, warm_up)
         self.refinement = Refinement(session, self.worker, self._send_scene)
         self.solver = Solver(session)
-        self.intake = Intake(
-            session,
-            self.worker,
-            lambda: must_be_idle(session.state),
-            self._tell,
-        )
+        self.intake = Intake(session, lambda: must_be_idle(session.state), self._tell)
         session.listen(self._follow)
         self._follow(State(), session.state)
 
@@ -128,9 +119,11 @@ class Conductor:
             self._send_scene(state.document)
             self.worker.send(Bake(state.document.used_cameras, state.texture_config))
 
-    def stop_baking(self) -> None:
-        """Ends the making of the texture after its present step."""
+    def stop_job(self) -> None:
+        """Ends the reading of files at once, the making of a texture after its step."""
         with self._lock:
+            if self.intake.cancel():
+                return
             job = self.session.state.job
             if job is not None and job.can_stop:
                 self._set(job=Job("Stopping", job.fraction, is_stopping=True))
@@ -168,8 +161,6 @@ class Conductor:
         match event:
             case Ready():
                 self._set(worker="")
-            case MeshLoaded() | PhotoLoaded():
-                self.intake.loaded(event)
             case Live():
                 self.session.change(None, lambda state: outcomes.advanced(state, event))
             case SearchKept():
@@ -211,24 +202,23 @@ class Conductor:
             log.error("%s failed:\n%s", event.job, event.details)
         if event.job == DrawOverlay.__name__:
             return  # Nothing to see from there; the last picture stays.
-        self._set(job=None)
+        if not self.intake.is_busy:
+            self._set(job=None)
         if event.job == Refine.__name__:
             self.session.change(
                 None,
                 lambda state: outcomes.broken_off(state, event.message, keep=False),
             )
         self.on_problem(event.message)
-        if event.job in (LoadMesh.__name__, LoadPhoto.__name__):
-            self.intake.failed()
 
     def _on_death(self, event: Died) -> None:
         log.error("The worker process died (exit code %s)", event.exit_code)
         with self._lock:
             self._scene_sent = None
-            self.intake.forget()
         state = self.session.state
-        self._set(job=None, worker="Starting the engine again")
-        what = state.job.title if state.job is not None else None
+        job = state.job if self.intake.is_busy else None
+        self._set(job=job, worker="Starting the engine again")
+        what = state.job.title if state.job is not None and job is None else None
         if state.run.is_active:
             what = "The refinement"
             self.session.change(

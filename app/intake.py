@@ -1,20 +1,28 @@
-"""Files that browsers bring: kept, told apart by suffix, and opened one after the other.
+"""Files that browsers bring: kept, told apart by suffix, read, and opened together.
 
-The worker reads one file at a time. What came together is one undo step.
+What came together is one undo step, or none where it is cancelled.
 """
 
 import dataclasses
 import itertools
+import logging
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from app import outcomes
-from app.messages import LoadMesh, LoadPhoto, MeshLoaded, PhotoLoaded
+from app.messages import (
+    Failed,
+    MeshLoaded,
+    PhotoLoaded,
+    ReadAll,
+    Reading,
+    ReadingEvent,
+)
 from app.opening import with_camera_file
-from app.session import Change, Session, setting
+from app.reader import Reader
+from app.session import Session, setting
 from app.state import Document, Job, State
-from app.worker import Worker
 from photoreg.errors import InputError, PhotoregError
 from photoreg.mesh import MESH_SUFFIXES
 from photoreg.photo import PHOTO_SUFFIXES
@@ -25,41 +33,91 @@ KINDS = (MESH_SUFFIXES, PHOTO_SUFFIXES, (".json",))
 
 MAX_FILES = 200
 
+log = logging.getLogger(__name__)
+
+
+@dataclasses.dataclass(eq=False)
+class Batch:
+    """Files that are read together and become one undo step."""
+
+    step: str
+    begins_anew: bool
+    """Whether they take the place of what is open."""
+    cameras: list[Path]
+    """Read at the end, when the photos they are for are there."""
+    loaded: list[MeshLoaded | PhotoLoaded] = dataclasses.field(default_factory=list)
+    problems: list[str] = dataclasses.field(default_factory=list)
+
+    def put_into(self, state: State) -> State:
+        """The state with what was read; what does not fit is a problem."""
+        if self.begins_anew and any(isinstance(e, MeshLoaded) for e in self.loaded):
+            state = dataclasses.replace(state, document=Document(), selected=0)
+        for event in self.loaded:
+            if isinstance(event, PhotoLoaded):
+                state = outcomes.with_photo(state, event)
+            else:
+                state = outcomes.with_mesh(state, event)
+        for path in self.cameras:
+            try:
+                document = with_camera_file(state.document, path)
+            except PhotoregError as error:
+                self.problems.append(str(error))
+            else:
+                state = dataclasses.replace(state, document=document)
+        return state
+
 
 class Intake:
-    """Takes files in batches; opens each batch when it is complete."""
+    """Takes files in batches; opens each batch when it is complete.
+
+    Until then nothing changes, so that what is cancelled leaves no trace.
+    """
 
     def __init__(
         self,
         session: Session,
-        worker: Worker,
         must_be_idle: Callable[[], None],
         on_problem: Callable[[str], None],
     ) -> None:
         self._session = session
-        self._worker = worker
         self._must_be_idle = must_be_idle
         self._on_problem = on_problem
+        self._reader = Reader()
         self._folder = tempfile.TemporaryDirectory(prefix="photoreg-")
         self.keep_file: Callable[[str, bytes], Path] = self._keep_apart
         """Where the files go; with a project, into it."""
         self._count = itertools.count(1)
-        self._expected: dict[int, int] = {}
-        self._received: dict[int, list[Path]] = {}
-        self._waiting: list[Path] = []
-        self._n_files = 0
-        self._step: tuple[str, object] = ("", None)
-        self._begins_anew = False
+        self._sender: int | None = None
+        self._n_expected = 0
+        self._received: list[Path] = []
+        self._batch: Batch | None = None
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether files are coming or are being read."""
+        return self._sender is not None or self._batch is not None
 
     def close(self) -> None:
-        """Removes the files."""
+        """Ends the reading and removes the files."""
+        self._batch = None
+        self._reader.cancel()
         self._folder.cleanup()
 
     def expect(self, browser: int, n_files: int) -> None:
-        """So many files are about to come from a browser."""
+        """So many files are about to come from a browser.
+
+        Raises:
+            InputError: if that is too many.
+            RefinementError: if something else is still going on.
+        """
         if not 1 <= n_files <= MAX_FILES:
             raise InputError(f"Up to {MAX_FILES} files can be opened at once.")
-        self._expected[browser], self._received[browser] = n_files, []
+        with self._session.lock:
+            self._must_be_idle()
+            self._sender, self._n_expected, self._received = browser, n_files, []
+            files = "a file" if n_files == 1 else f"{n_files} files"
+            self._show(f"Receiving {files}", 0.0)
+        self._reader.prepare()
 
     def receive(self, browser: int, name: str, content: bytes) -> None:
         """A file has come; with the last one of its batch, all are opened.
@@ -67,23 +125,29 @@ class Intake:
         Raises:
             InputError: if the file is not one that photoreg reads, or has no place.
         """
-        left = self._expected.pop(browser, 1) - 1
-        paths = self._received.setdefault(browser, [])
-        if left > 0:
-            self._expected[browser] = left
-        else:
-            del self._received[browser]
-        try:
-            paths.append(self._keep(name, content))
-        finally:
-            if left <= 0 and paths:
-                self.open(paths)
+        with self._session.lock:
+            if browser != self._sender:
+                return  # Of a batch that was cancelled.
+            self._n_expected -= 1
+            try:
+                self._received.append(self._keep(name, content))
+            finally:
+                if self._n_expected == 0:
+                    self._sender = None
+                    self._session.change(None, setting(job=None))
+                    if self._received:
+                        self.open(self._received)
+
+    def left(self, browser: int) -> None:
+        """A browser has gone: what it was sending will not come."""
+        if browser == self._sender:
+            self.cancel()
 
     def open_one(self, name: str, content: bytes) -> None:
         """Opens a single file."""
         self.open([self._keep(name, content)])
 
-    def open(self, paths: list[Path]) -> None:
+    def open(self, paths: Sequence[Path]) -> None:
         """Opens files, as one undo step.
 
         A mesh that comes with photos begins a new scene. A mesh alone takes the place
@@ -104,59 +168,58 @@ class Intake:
             step = f"Open {len(paths)} files"
             if len(paths) == 1:
                 step = f"{'Add' if _kind(paths[0]) == 1 else 'Load'} {paths[0].name}"
-            self._step = (step, ("open", next(self._count)))
-            self._begins_anew = bool(meshes) and any(_kind(p) == 1 for p in paths)
-            self._n_files = len(paths)
-            self._waiting = sorted(paths, key=_kind)
-            self._next()
+            begins_anew = bool(meshes) and any(_kind(p) == 1 for p in paths)
+            self._batch = batch = Batch(
+                step, begins_anew, [p for p in paths if _kind(p) == 2]
+            )
+            to_read = sorted((p for p in paths if _kind(p) < 2), key=_kind)
+            if to_read:
+                self._show("Opening", 0.0)
+                self._reader.read(to_read, lambda event: self._on_event(batch, event))
+            else:
+                self._end(batch, complete=True)
 
-    def loaded(self, event: MeshLoaded | PhotoLoaded) -> None:
-        """The worker has read a file: it joins the scene, and the next one is read."""
-        begins_anew = self._begins_anew and isinstance(event, MeshLoaded)
-
-        def change(state: State) -> State:
-            if isinstance(event, PhotoLoaded):
-                return outcomes.with_photo(state, event)
-            if begins_anew:
-                state = dataclasses.replace(state, document=Document(), selected=0)
-            return outcomes.with_mesh(state, event)
-
+    def cancel(self) -> bool:
+        """Leaves the files that are coming or being read; whether there were any."""
         with self._session.lock:
-            self._session.change(None, setting(job=None))
-            self._change(change)
-            self._next()
+            if not self.is_busy:
+                return False
+            self._sender = self._batch = None
+            note = "Cancelled; nothing was opened."
+            self._session.change(None, setting(job=None, note=note))
+        self._reader.cancel()
+        return True
 
-    def failed(self) -> None:
-        """A file could not be read: the others still are."""
+    def _on_event(self, batch: Batch, event: ReadingEvent) -> None:
         with self._session.lock:
-            self._next()
+            if batch is not self._batch:
+                return  # It was cancelled.
+            match event:
+                case Reading():
+                    self._show(event.title, event.fraction)
+                case MeshLoaded() | PhotoLoaded():
+                    batch.loaded.append(event)
+                case Failed():
+                    batch.problems.append(event.message)
+                    if event.details:
+                        log.error("%s\n%s", event.message, event.details)
+                case ReadAll():
+                    self._end(batch, event.complete)
 
-    def forget(self) -> None:
-        """The worker is gone; what waits is not opened."""
-        self._waiting = []
-
-    def _next(self) -> None:
-        while self._waiting:
-            path = self._waiting.pop(0)
-            kind = _kind(path)
-            if kind < 2:
-                number = self._n_files - len(self._waiting)
-                of = f" ({number} of {self._n_files})" if self._n_files > 1 else ""
-                job = Job(f"Reading {path.name}{of}")
-                self._session.change(None, setting(job=job))
-                self._worker.send(LoadPhoto(path) if kind else LoadMesh(path))
-                return
+    def _end(self, batch: Batch, complete: bool) -> None:
+        self._batch = None
+        self._session.change(None, setting(job=None))
+        if complete:
             try:
-                self._change(
-                    lambda state, path=path: dataclasses.replace(
-                        state, document=with_camera_file(state.document, path)
-                    )
-                )
+                self._session.change(batch.step, batch.put_into)
             except PhotoregError as error:
-                self._on_problem(str(error))
+                batch.problems.append(str(error))
+        for problem in batch.problems:
+            self._on_problem(problem)
 
-    def _change(self, change: Change) -> None:
-        self._session.change(self._step[0], change, self._step[1])
+    def _show(self, title: str, fraction: float) -> None:
+        job = Job(title, fraction, can_stop=True)
+        self._session.change(None, setting(job=job))
 
     def _keep_apart(self, name: str, content: bytes) -> Path:
         # A folder for each: what comes again keeps its name.

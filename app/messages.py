@@ -1,7 +1,6 @@
-"""What the app and its worker process tell each other: jobs down, events up."""
+"""What the app and its processes tell each other: jobs down, events up."""
 
 import dataclasses
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,20 +32,6 @@ class SetScene:
     photos: tuple[Photo, ...]
     mask_pngs: tuple[bytes | None, ...] = ()
     """The photos' masks, see ``app.masks``; empty if no photo has one."""
-
-
-@dataclasses.dataclass(frozen=True)
-class LoadMesh:
-    """Read a mesh file."""
-
-    path: Path
-
-
-@dataclasses.dataclass(frozen=True)
-class LoadPhoto:
-    """Read a photo file."""
-
-    path: Path
 
 
 @dataclasses.dataclass(frozen=True)
@@ -141,6 +126,23 @@ class Ready:
     """The worker has compiled its kernels and waits for work."""
 
     seconds: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Reading:
+    """A file is being read."""
+
+    title: str
+    fraction: float
+    """Of all the files that are read together."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ReadAll:
+    """No more files come."""
+
+    complete: bool
+    """False: the reader died before its end."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -309,8 +311,6 @@ class Died:
 
 Job = (
     SetScene
-    | LoadMesh
-    | LoadPhoto
     | DrawOverlay
     | Refine
     | Compare
@@ -323,8 +323,6 @@ Job = (
 )
 Event = (
     Ready
-    | MeshLoaded
-    | PhotoLoaded
     | Live
     | SearchKept
     | Picture
@@ -341,5 +339,8 @@ Event = (
     | Failed
     | Died
 )
+ReadingEvent = Reading | MeshLoaded | PhotoLoaded | Failed | ReadAll
+"""What the reader tells, which is a process beside the worker."""
+
 Passing = Live | Picture | Measured | SurfaceDrawn
 """Events of which only the newest is worth telling."""

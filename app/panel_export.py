@@ -107,7 +107,7 @@ class ExportPanel:
         @self._stop.on_click
         @guarded
         def _(_: viser.GuiEvent) -> None:
-            conductor.stop_baking()
+            conductor.stop_job()
 
         @self._show.on_update
         @guarded

@@ -1,6 +1,5 @@
 """Left dock, Points: click the same points in the photo and on the model."""
 
-import html
 import itertools
 import json
 import threading
@@ -10,27 +9,21 @@ import numpy as np
 import viser
 
 from app import points
-from app.bus import Bus, Values, mounted, sending
+from app.bus import Bus, Values, mounted
 from app.conductor import Conductor
 from app.controls import guarded, guarded_slow, notify, put, put_value
+from app.markers import Pull
 from app.masks import mask_of, painted_mask
+from app.pair_table import pair_rows, table_html
 from app.panel_data import index_of, photo_options
 from app.pictures import Pictures
 from app.placement import DisplayFrame
 from app.session import select, setting, with_entry
 from app.state import State
-from photoreg.camera import Camera
 from photoreg.errors import InputError
+from photoreg.mesh import Mesh
 from photoreg.photo import PHOTO_SUFFIXES
-from photoreg.resection import N_FOCAL, N_POSE, N_PRINCIPAL
-
-SUSPECT_FACTOR = 3.0
-"""A pair so many times worse than the typical one is marked, at least."""
-
-NEEDS = (
-    f"{N_POSE} pairs give the pose, {N_FOCAL} also the focal length, {N_PRINCIPAL} also "
-    "the principal point."
-)
+from photoreg.resection import N_POSE
 
 
 class PointsPanel:
@@ -44,6 +37,7 @@ class PointsPanel:
         self._pictures = pictures
         self._picking: set[int] = set()
         self._gesture = itertools.count()
+        self._pull: tuple[str, int] = ("pull", -1)
         self._choice = gui.add_dropdown("Photo", photo_options(session.state))
         gui.add_html(
             f'<div style="margin:2px 10px 4px">{mounted("picker")}<div></div></div>'
@@ -79,8 +73,8 @@ class PointsPanel:
             "does not count. Leave out and Bring back, above, paint it.",
         )
         gui.add_markdown(
-            "Wheel zooms, dragging pans, **Delete** removes the marker in focus; a "
-            "click on a marker, then elsewhere, puts it there."
+            "Drag a marker, in the photo or on the model, to correct it; **Delete** "
+            "removes the one in focus. In the photo the wheel zooms, dragging pans."
         )
         bus.on("pick", self._on_pick)
         bus.on("move", self._on_move)
@@ -150,19 +144,46 @@ class PointsPanel:
         """A click in the scene: the point of the full mesh under it joins a pair."""
         if client.client_id not in self._picking:
             return
+        entry = self._session.state.selected_photo
+        point = self._surface_point(frame, origin, direction)
+        if entry is not None and point is not None:
+            change = points.with_surface_point(entry.name, point)
+            self._change(entry.name, "Point", change)
+
+    def on_marker_pull(self, frame: DisplayFrame, pull: Pull) -> None:
+        """A marker is dragged over the surface; one drag is one undo step.
+
+        Solving waits for the end: a view through the photo would move under the hand.
+        """
         state = self._session.state
-        entry, mesh = state.selected_photo, state.document.mesh
-        if entry is None or mesh is None or state.run.status != "idle":
+        entry, index = state.selected_photo, state.selected
+        if pull.phase == "start":
+            self._pull = ("pull", next(self._gesture))
+        point = self._surface_point(frame, pull.origin, pull.direction)
+        if entry is None:
             return
+        step = f"Move point {pull.number} of photo {index + 1}"
+        if point is not None:
+            change = points.with_moved_surface_point(entry.name, pull.number, point)
+            self._session.change(step, change, self._pull)
+        if pull.phase == "end" and self._session.state.live_solve:
+            self._conductor.solver.place(entry.name, step, self._pull)
+
+    def _surface_point(
+        self, frame: DisplayFrame, origin: np.ndarray, direction: np.ndarray
+    ) -> tuple[float, float, float] | None:
+        """Where a ray of the page meets the full mesh; None while a run goes on."""
+        state = self._session.state
+        mesh = state.document.mesh
+        if mesh is None or state.run.status != "idle":
+            return None
         start = frame.to_world(np.asarray(origin, dtype=np.float64))
         ray = np.asarray(direction, dtype=np.float64) / frame.scale
         faces, distances = mesh.first_hits(start[None], ray[None])
         if faces[0] < 0:
-            return
+            return None
         x, y, z = (float(v) for v in start + distances[0] * ray)
-        self._change(
-            entry.name, "Point", points.with_surface_point(entry.name, (x, y, z))
-        )
+        return x, y, z
 
     def _on_pick(self, values: Values, _: viser.ClientHandle) -> None:
         name = str(values["photo"])
@@ -188,6 +209,9 @@ class PointsPanel:
     def _on_picking(self, values: Values, client: viser.ClientHandle) -> None:
         if values["on"]:
             self._picking.add(client.client_id)
+            mesh = self._session.state.document.mesh
+            if mesh is not None:
+                threading.Thread(target=_prepare, args=(mesh,), daemon=True).start()
         else:
             self._picking.discard(client.client_id)
 
@@ -307,139 +331,6 @@ def _other_with_points(state: State) -> str | None:
     return None
 
 
-def pair_rows(state: State) -> list[dict[str, Any]]:
-    """For each pair of the selected photo its residual, in words, and whether bad."""
-    entry = state.selected_photo
-    if entry is None:
-        return []
-    camera: Camera = entry.camera
-    solution = state.current_solution
-    left_out: set[int] = set()
-    if solution is not None and solution.resection is not None:
-        inliers = solution.resection.inliers
-        left_out = {
-            pair.number
-            for pair, good in zip(solution.pairs, inliers, strict=True)
-            if not good
-        }
-    residuals = points.residuals_px(entry, camera)
-    worst = max(residuals, key=lambda n: residuals[n], default=None)
-    rows = []
-    for pair in entry.pairs:
-        residual = residuals.get(pair.number)
-        if pair.world is None:
-            text = "not yet on the model"
-        elif pair.pixel is None:
-            text = "not yet in the photo"
-        elif residual is not None and np.isfinite(residual):
-            text = f"{residual:.1f} px" if residual < 1000 else f"{residual:,.0f} px"
-        else:
-            text = "behind the camera"
-        rows.append(
-            {
-                "number": pair.number,
-                "text": text,
-                "bad": pair.number in left_out,
-                "worst": pair.number == worst and len(residuals) > 1,
-            }
-        )
-    return rows
-
-
-def table_html(state: State, rows: list[dict[str, Any]]) -> str:
-    """The table of pairs, and above it what the solution says."""
-    entry = state.selected_photo
-    if entry is None:
-        return ""
-    return (
-        f'<div style="margin:4px 12px;font-size:13px;line-height:1.4">'
-        f"{_verdict_html(state)}{_rows_html(state, entry.name, rows)}</div>"
-    )
-
-
-def _verdict_html(state: State) -> str:
-    entry, solution = state.selected_photo, state.current_solution
-    assert entry is not None
-    n = len(entry.whole_pairs)
-    if n < N_POSE:
-        missing = N_POSE - n
-        more = "one more pair" if missing == 1 else f"{missing} more pairs"
-        return (
-            f'<div style="opacity:.75;margin-bottom:6px">{more} to place the camera. '
-            f"{NEEDS}</div>"
-        )
-    if solution is None:
-        return '<div style="opacity:.75;margin-bottom:6px">Solving …</div>'
-    if solution.resection is None:
-        return _note_html(solution.problem, bad=True)
-    resection = solution.resection
-    error = resection.expected_error_px
-    colour = "#2dbeaf" if error < 20 and not resection.warnings else "#e8a33d"
-    text = (
-        f'<div style="margin-bottom:6px"><span style="font-size:18px;font-weight:650;'
-        f'color:{colour}">± {error:.1f} px</span> expected over the surface<br>'
-        f'<span style="opacity:.75">{html.escape(resection.summary)}</span></div>'
-    )
-    left_out = bool((~resection.inliers).any())
-    return text + "".join(
-        _note_html(_by_number(warning, solution.pairs), bad=left_out and i == 0)
-        for i, warning in enumerate(resection.warnings)
-    )
-
-
-def _by_number(warning: str, pairs: tuple[Any, ...]) -> str:
-    """The engine counts whole pairs from 1; the markers have numbers of their own."""
-    numbers = [pair.number for pair in pairs]
-    if numbers == list(range(1, len(numbers) + 1)):
-        return warning
-    head, sep, tail = warning.partition(" do")
-    words = head.replace(",", "").replace(" and", "").split()
-    if not sep or not words or words[0] not in ("Pair", "Pairs"):
-        return warning
-    named = [str(numbers[int(word) - 1]) for word in words[1:] if word.isdigit()]
-    listed = named[-1:] if len(named) == 1 else [", ".join(named[:-1]), named[-1]]
-    return f"{words[0]} {' and '.join(listed)}{sep}{tail}"
-
-
-def _note_html(text: str, bad: bool) -> str:
-    colour = "255,95,86" if bad else "232,163,61"
-    return (
-        f'<div style="border-left:3px solid rgb({colour});padding:4px 8px;'
-        f"background:rgba({colour},.12);border-radius:0 5px 5px 0;margin-bottom:6px"
-        f'">{html.escape(text)}</div>'
-    )
-
-
-def _rows_html(state: State, name: str, rows: list[dict[str, Any]]) -> str:
-    if not rows:
-        return ""
-    cells = []
-    for row in rows:
-        number = row["number"]
-        colour = "#ff5f56" if row["bad"] else "#e8a33d" if row["worst"] else "inherit"
-        remark = "does not fit" if row["bad"] else "largest" if row["worst"] else ""
-        back = "rgba(45,190,175,.22)" if number == state.chosen_pair else "none"
-        cells.append(
-            f'<tr style="cursor:pointer;background:{back}" '
-            f'onclick="{sending("choose", photo=name, number=number)}">'
-            f'<td style="padding:2px 6px;font-weight:650">{number}</td>'
-            f'<td style="text-align:right;color:{colour};'
-            f'font-variant-numeric:tabular-nums">{row["text"]}</td>'
-            f'<td style="padding-left:8px;color:{colour};opacity:.85">{remark}</td>'
-            f'<td style="text-align:right"><button aria-label="Delete point {number}" '
-            f'title="Delete point {number}" style="{_CROSS}" '
-            f'onclick="{sending("delete", photo=name, number=number)}">✕</button></td>'
-            "</tr>"
-        )
-    head = '<tr style="opacity:.6;font-size:12px"><td style="padding:0 6px">Point</td>'
-    head += '<td style="text-align:right">Residual</td><td></td><td></td></tr>'
-    return (
-        '<table style="width:100%;border-collapse:collapse">'
-        f"{head}{''.join(cells)}</table>"
-    )
-
-
-_CROSS = (
-    "background:none;border:0;color:inherit;opacity:.6;cursor:pointer;font:inherit;"
-    "padding:0 6px"
-)
+def _prepare(mesh: Mesh) -> None:
+    """Casts a first ray, which on two million triangles takes seconds."""
+    mesh.first_hits(np.zeros((1, 3)), np.ones((1, 3)))

@@ -42,17 +42,17 @@ def with_moved_point(name: str, number: int, pixel: tuple[float, float]) -> Chan
     """A marker in the photo dragged to another place."""
 
     def change(state: State) -> State:
-        index = index_of_photo(state, name)
-        entry = state.document.photos[index]
-        _check_pixel(entry, pixel)
-        _pair(entry, number)
-        pairs = tuple(
-            dataclasses.replace(pair, pixel=pixel) if pair.number == number else pair
-            for pair in entry.pairs
-        )
-        return with_entry(index, pairs=pairs)(state)
+        _check_pixel(state.document.photos[index_of_photo(state, name)], pixel)
+        return _with_pair(name, number, pixel=pixel)(state)
 
     return change
+
+
+def with_moved_surface_point(
+    name: str, number: int, world: tuple[float, float, float]
+) -> Change:
+    """A marker on the surface dragged to another place."""
+    return _with_pair(name, number, world=world)
 
 
 def without_point(name: str, number: int) -> Change:
@@ -170,6 +170,22 @@ def _with_point(
             )
         state = with_entry(index, pairs=pairs)(state)
         return dataclasses.replace(state, chosen_pair=None)
+
+    return change
+
+
+def _with_pair(name: str, number: int, **values: tuple[float, ...]) -> Change:
+    """Other points for one of the pairs."""
+
+    def change(state: State) -> State:
+        index = index_of_photo(state, name)
+        entry = state.document.photos[index]
+        _pair(entry, number)
+        pairs = tuple(
+            dataclasses.replace(pair, **values) if pair.number == number else pair
+            for pair in entry.pairs
+        )
+        return with_entry(index, pairs=pairs)(state)
 
     return change
 

@@ -23,7 +23,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from app.bus import Bus
+from app.bus import Bus, sending
 from app.canvas import backdrop
 from app.conductor import Conductor
 from app.controls import BRAND, guarded, notify, put
@@ -40,7 +40,7 @@ from app.panel_view import ViewPanel
 from app.pictures import ROOT, Pictures
 from app.scene import Scene
 from app.session import Session, with_entry
-from app.state import State
+from app.state import Job, State
 from app.viewport import Viewport
 from app.widgets import Tool, Tools
 from photoreg.camera import Camera
@@ -116,6 +116,7 @@ class Page:
         gui.main_panel.dock_right()
         gui.main_panel.set_width(324)
         self._bus = bus = Bus(gui)
+        bus.on("stop", lambda *_: self.conductor.stop_job())
         self._status = gui.add_html("")
         self._meter = gui.add_html("")
         self._travel = Tools(gui, bus, "", (), self._on_travel)
@@ -146,6 +147,9 @@ class Page:
                 np.array(event.ray_direction),
             )
 
+        self.scene.markers.on_pull = lambda pull: points.on_marker_pull(
+            self.scene.frame, pull
+        )
         # viser's types know of no asynchronous listener; viser itself does.
         self.server.scene.on_click()(cast(Any, clicked))
 
@@ -261,6 +265,7 @@ class Page:
         if panel is not None:
             panel.forget()
         self._hands.drop(client.client_id)
+        self.conductor.intake.left(client.client_id)
         self._help.forget(client)
         self.scene.let_go(client.client_id)
         self._wake.set()
@@ -310,12 +315,14 @@ def travel_tools(state: State) -> list[Tool]:
 
 
 def status_line(state: State) -> str:
-    """What is going on, in one line that is always on screen."""
-    run = state.run
+    """What is going on, in one line that is always on screen; what may end it, too."""
+    run, job = state.run, state.job
+    tail = ""
     if state.saving:
         colour, text = "#e5484d", state.saving
-    elif state.job is not None:
-        colour, text = "#e8a33d", f"{state.job.title} …"
+    elif job is not None:
+        colour, text = "#e8a33d", f"{job.title} …"
+        tail = _job_html(job)
     elif run.is_active:
         colour, text = "#e8a33d", f"Refining: {run.step or 'starting'}"
     elif run.status == "review":
@@ -327,11 +334,30 @@ def status_line(state: State) -> str:
     else:
         colour, text = "#2dbeaf", state.note or "Ready."
     return (
-        '<div style="display:flex;align-items:center;gap:8px;margin:10px 12px 8px;'
-        'font-size:13px;line-height:1.3"><span style="width:9px;height:9px;'
-        f'border-radius:50%;background:{colour};flex:none"></span>'
-        f'<span style="overflow:hidden;text-overflow:ellipsis">{html.escape(text)}</span>'
-        "</div>"
+        '<div style="display:flex;flex-wrap:wrap;align-items:center;gap:8px;'
+        'margin:10px 12px 8px;font-size:13px;line-height:1.3"><span style="width:9px;'
+        f'height:9px;border-radius:50%;background:{colour};flex:none"></span>'
+        '<span style="flex:1;min-width:0;overflow-wrap:anywhere" role="status">'
+        f"{html.escape(text)}</span>{tail}</div>"
+    )
+
+
+def _job_html(job: Job) -> str:
+    """How far a job is, and a button that ends it where that is possible."""
+    button = ""
+    if job.can_stop:
+        button = (
+            '<button title="Ends it; nothing will have changed" style="font:inherit;'
+            "font-size:12.5px;color:inherit;background:rgba(128,140,155,.25);border:0;"
+            'border-radius:5px;padding:3px 10px;cursor:pointer" '
+            f'onclick="{sending("stop")}">Cancel</button>'
+        )
+    return (
+        f'{button}<span role="progressbar" aria-valuenow="{100 * job.fraction:.0f}" '
+        'style="flex:0 0 100%;height:5px;border-radius:3px;overflow:hidden;'
+        'background:rgba(128,140,155,.25)"><span style="display:block;height:100%;'
+        f"width:{100 * job.fraction:.1f}%;background:#e8a33d;"
+        'transition:width .3s"></span></span>'
     )
 
 

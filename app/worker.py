@@ -1,8 +1,8 @@
 """The app's end of the worker process: start it, send jobs, pump its events, outlive it.
 
 Compute has one owner. Numba's thread pool aborts the program when two threads set off
-parallel kernels, and viser calls back from 32 threads; so files are read, cameras
-refined and textures baked in one spawned process, and the page stays quick.
+parallel kernels, and viser calls back from 32 threads; so cameras are refined and textures
+baked in one spawned process, and the page stays quick.
 """
 
 import dataclasses

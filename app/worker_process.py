@@ -22,14 +22,10 @@ from app.messages import (
     Event,
     Failed,
     Job,
-    LoadMesh,
-    LoadPhoto,
     Measured,
-    MeshLoaded,
     OverlayView,
     Pack,
     Pause,
-    PhotoLoaded,
     Ready,
     Refine,
     Resume,
@@ -38,14 +34,13 @@ from app.messages import (
     Timed,
     Working,
 )
-from app.opening import DISPLAY_FACES
 from app.refining import Refining
 from app.timing import measure_speed
 from app.warm_up import warm_up_steps
 from photoreg.camera import Camera
 from photoreg.errors import PhotoregError
-from photoreg.mesh import Mesh, load_mesh
-from photoreg.photo import Photo, load_photo
+from photoreg.mesh import Mesh
+from photoreg.photo import Photo
 from photoreg.readiness import check_readiness
 
 
@@ -121,12 +116,6 @@ class WorkerProcess:
                 self._drawing = self._judge = None
                 self._unchecked = self._untimed = None
                 self._is_timed = False
-            case LoadMesh():
-                mesh = load_mesh(job.path)
-                self._send(Working(f"Reading {mesh.name}", 0.6))
-                self._send(MeshLoaded(mesh, mesh.decimated(DISPLAY_FACES)))
-            case LoadPhoto():
-                self._send(PhotoLoaded(load_photo(job.path)))
             case DrawOverlay():
                 newer = self._newer_overlay(job)
                 # The number first, it is there in no time; the picture on its thread,

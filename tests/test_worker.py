@@ -19,7 +19,6 @@ from app.messages import (
     Event,
     Failed,
     Live,
-    LoadPhoto,
     OverlayView,
     Picture,
     Ready,
@@ -120,17 +119,6 @@ def test_pictures_come_while_the_search_runs(shared, scene):
     change = np.abs(images[0].astype(int) - images[-1]).mean()
     assert change > 1.0, f"the pictures differ by {change:.2f} only"
     assert all(p.error_px is not None and p.error_px > 0.0 for p in pictures)
-
-
-def test_a_file_that_is_no_photo_is_a_sentence_and_no_crash(shared, tmp_path):
-    worker, listener = shared
-    path = tmp_path / "notes.jpg"
-    path.write_text("not a picture")
-    worker.send(LoadPhoto(path))
-    failed = listener.events.get(timeout=60)
-    assert isinstance(failed, Failed)
-    assert "notes.jpg could not be read" in failed.message
-    assert failed.details == ""
 
 
 def test_a_stop_that_comes_too_late_does_no_harm(shared, scene):
@@ -303,7 +291,7 @@ def test_the_overlay_follows_the_cameras_and_tells_the_true_error(conductor):
 def test_baking_is_stopped_between_its_steps_and_then_works(conductor):
     session = conductor.session
     conductor.bake()
-    conductor.stop_baking()
+    conductor.stop_job()
     state = wait(conductor, lambda s: s.job is None, "it stops")
     assert state.texture is None
     assert state.note.startswith("Stopped")

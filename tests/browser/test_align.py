@@ -6,6 +6,7 @@ import pytest
 from app.numbers import film_mm
 from app.session import select, setting, with_document
 from app.state import same_camera
+from app.styles import THROUGH_STYLES
 from tests.browser.driver import Driver, wait_until
 
 
@@ -101,6 +102,83 @@ def test_an_arc_of_the_orbit_gizmo_carries_the_camera_around_the_object(app):
     cosine = (old.center - centre) @ (new.center - centre) / np.prod(distances)
     assert 3.0 < np.degrees(np.arccos(cosine)) < 60.0
     undo(app, before)
+
+
+def test_an_arc_of_the_move_gizmo_turns_the_camera_in_its_place(app):
+    driver, before = app.driver, app.state.document
+    driver.frames(6)
+    axes, centre = app.page.scene.frame.pose(camera_of(app))
+    position, rotation, view_rad = driver.viewport_camera()
+    unit = (rotation.T @ (centre - position))[2] * np.tan(0.5 * view_rad) * 2
+    unit /= driver.canvas()["height"]  # Page units of a pixel, at the camera.
+    radius = 0.65 * app.page.scene.gizmo.scale * unit
+    # The arc that is seen most from the front is the easiest to take.
+    toward = (position - centre) / np.linalg.norm(position - centre)
+    i = int(np.argmax(np.abs(axes.T @ toward)))
+    first, second = axes[:, (i + 1) % 3], axes[:, (i + 2) % 3]
+    places = [
+        centre + radius * (np.cos(a) * first + np.sin(a) * second)
+        for a in np.radians((45.0, 70.0))
+    ]
+    start, end = (on_screen(driver, place) for place in places)
+    driver.drag(tuple(start), tuple(end - start))
+    wait_for_step(app, "Move camera 1")
+    driver.frames(5)
+    old, new = before.photos[0].camera, camera_of(app)
+    moved = np.abs(new.center - old.center).max() * app.page.scene.frame.scale
+    assert moved < 1e-6, f"an arc turns only, and does not move by {moved}"
+    turn = new.R_cam_world @ old.R_cam_world.T
+    angle = np.degrees(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
+    assert 3.0 < angle < 60.0, f"turned by {angle:.1f} degrees"
+    axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], 0.0])
+    axis[2] = turn[1, 0] - turn[0, 1]
+    assert np.abs(axis[i]) / np.linalg.norm(axis) > 0.999, "about one axis of its own"
+    undo(app, before)
+
+
+def test_the_wheel_in_move_brings_the_camera_nearer_on_its_own_axis(app):
+    driver, before = app.driver, app.state.document
+    driver.choose("View", "Move")
+    wait_for_view(app, driver)
+    canvas = driver.canvas()
+    driver.page.mouse.move(
+        canvas["x"] + canvas["width"] / 2, canvas["y"] + canvas["height"] / 2
+    )
+    driver.page.mouse.wheel(0, -100)
+    wait_for_step(app, "Move camera 1")
+    wait_for_view(app, driver)
+    old, new = before.photos[0].camera, camera_of(app)
+    way = old.R_cam_world @ (new.center - old.center)
+    assert way[2] > 0.0, "nearer"
+    assert np.abs(way[:2]).max() < 1e-3 * way[2], f"straight ahead, not {way}"
+    assert np.abs(new.R_cam_world - old.R_cam_world).max() < 1e-6
+    undo(app, before)
+
+
+def test_what_lies_over_the_photo_is_chosen_in_the_page(app):
+    driver, scene = app.driver, app.page.scene
+    driver.choose("View", "Inspect")
+    wait_for_view(app, driver)
+    wait_until(lambda: "/through/photo" in nodes(driver), "the photo stands there", 30)
+    seen = {}
+    for style, option in THROUGH_STYLES.items():
+        driver.choose("Show", option.label)
+        wait_until(lambda style=style: app.state.through_style == style, style, 20)
+        if style == "wireframe":
+            wait_until(lambda: scene._clear.wireframe, "drawn as wires", 20)
+        if style == "lines":
+            wait_until(lambda: "/clear/lines" in nodes(driver), "lines come", 60)
+        if style in ("normals", "photo"):
+            wait_until(lambda: pixels_of(app) not in seen.values(), "a picture", 60)
+        seen[style] = pixels_of(app)
+    assert seen["surface"] == seen["wireframe"] == seen["lines"], "the photo itself"
+    assert len({seen["surface"], seen["normals"], seen["photo"]}) == 3
+
+
+def pixels_of(app) -> bytes:
+    """The picture that stands in the scene in Inspect, as it was sent."""
+    (viewport, *_) = app.page._viewports.values()
+    return viewport._plane.image._data
 
 
 def test_inspect_zooms_at_the_cursor_and_pans_and_never_moves_the_camera(app):

@@ -1,6 +1,8 @@
 """Files dropped onto the page, or chosen together, with their real bytes."""
 
 import base64
+import os
+import signal
 
 import cv2
 import pytest
@@ -118,3 +120,39 @@ def test_several_files_are_chosen_at_once_and_added(running, files, tmp_path):
     chooser.value.set_files([tmp_path / "a.png", tmp_path / "b.png"])
     wait_until(lambda: names(app) == ["a.png", "b.png"], "both are added")
     wait_until(lambda: app.state.undo_name == "Open 2 files", "as one step", 20)
+
+
+def test_cancel_ends_the_reading_and_leaves_no_trace(running, files):
+    app = running
+    app.session.change("Begin", with_document(photos=()))
+    before, reader = app.state.document, app.conductor.intake._reader
+    reader.prepare()
+    # The hardest case: a reader that hangs within a file and hears nothing.
+    process = reader._process
+    os.kill(process.pid, signal.SIGSTOP)
+    drop(app, {name: files[name] for name in ("rock.obj", "a.png", "b.png")})
+    app.driver.page.get_by_role("status").get_by_text("Opening").wait_for()
+    # Meanwhile the server answers, and what would disturb is refused.
+    app.driver.tab("2 Align")
+    drop(app, {"a.png": files["a.png"]})
+    app.driver.page.get_by_text("is still going on").wait_for()
+    app.driver.click("Cancel")
+    wait_until(lambda: app.state.job is None, "it is cancelled", 20)
+    wait_until(lambda: not process.is_alive(), "the process is gone", 20)
+    assert app.state.document is before
+    app.driver.page.get_by_text("Cancelled; nothing was opened.").wait_for()
+    drop(app, {"a.png": files["a.png"]})
+    wait_until(lambda: names(app) == ["a.png"], "the next file is opened")
+
+
+def test_a_reader_that_dies_is_told_and_changes_nothing(running, files):
+    app = running
+    before, reader = app.state.document, app.conductor.intake._reader
+    reader.prepare()
+    os.kill(reader._process.pid, signal.SIGSTOP)
+    drop(app, {"b.png": files["b.png"]})
+    app.driver.page.get_by_role("status").get_by_text("Opening").wait_for()
+    os.kill(reader._process.pid, signal.SIGKILL)
+    app.driver.page.get_by_text("Reading was cut short").wait_for()
+    wait_until(lambda: app.state.job is None, "nothing is going on any more", 20)
+    assert app.state.document is before

@@ -5,7 +5,9 @@ import dataclasses
 import cv2
 import numpy as np
 import pytest
+import trimesh
 
+from app.markers import WRONG
 from app.masks import decode_mask
 from app.session import select, setting, with_document
 from photoreg.evaluate import projection_error
@@ -77,15 +79,9 @@ def places_to_click(app, camera, n: int) -> list[tuple[tuple[int, int], np.ndarr
     return [((int(spots[i][0]), int(spots[i][1])), pixels[i]) for i in chosen]
 
 
-def test_six_pairs_clicked_in_photo_and_model_place_the_camera(app, toy_document):
-    driver, true = app.driver, toy_document.photos[0].camera
-
-    def error_px() -> float:
-        mesh = toy_document.mesh
-        return projection_error(mesh, [true], [entry_of(app).camera]).mean
-
-    before = error_px()
-    places = places_to_click(app, true, 6)
+def click_pairs(app, places) -> None:
+    """Clicks points in the photo and on the model, by turns."""
+    driver = app.driver
     for i, (spot, pixel) in enumerate(places, 1):
         driver.page.mouse.click(*in_picker(driver, pixel))
         wait_until(
@@ -97,6 +93,18 @@ def test_six_pairs_clicked_in_photo_and_model_place_the_camera(app, toy_document
             f"point {i} on the model",
             30,
         )
+
+
+def test_six_pairs_clicked_in_photo_and_model_place_the_camera(app, toy_document):
+    driver, true = app.driver, toy_document.photos[0].camera
+
+    def error_px() -> float:
+        mesh = toy_document.mesh
+        return projection_error(mesh, [true], [entry_of(app).camera]).mean
+
+    before = error_px()
+    places = places_to_click(app, true, 6)
+    click_pairs(app, places)
     clicked = np.array([pair.pixel for pair in entry_of(app).pairs])
     off = np.abs(clicked - [pixel for _, pixel in places]).max()
     assert off < 0.5, f"a click lands {off:.2f} px off"
@@ -118,6 +126,20 @@ def test_six_pairs_clicked_in_photo_and_model_place_the_camera(app, toy_document
     driver.page.keyboard.press("Control+z")
     wait_until(lambda: app.state.document is solved, "one step back undoes it", 30)
 
+    # So it is with a marker on the model, which keeps to the surface all the way.
+    world = solved.photos[0].pairs[2].world
+    drag_marker(app, 3, (9.0, 5.0))
+    wait_until(
+        lambda: app.state.undo_name == "Move point 3 of photo 1", "it is moved", 30
+    )
+    wait_until(lambda: entry_of(app).camera is not solved.photos[0].camera, "solved")
+    dragged = np.array(entry_of(app).pairs[2].world)
+    moved = np.linalg.norm(dragged - world) * app.page.scene.frame.scale
+    assert 0.005 < moved < 0.2, f"moved by {moved:.3f} of the page's units"
+    assert distance_to_surface(toy_document.mesh, dragged) < 1e-5 * np.abs(world).max()
+    driver.page.keyboard.press("Control+z")
+    wait_until(lambda: app.state.document is solved, "one step back undoes it", 30)
+
     # A marker in focus goes by the Delete key, another by its cross in the table.
     app.session.change(None, setting(live_solve=False))
     driver.page.locator(".pr-mark[data-number='2']").focus()
@@ -133,6 +155,45 @@ def test_six_pairs_clicked_in_photo_and_model_place_the_camera(app, toy_document
         "point 5 is deleted",
         30,
     )
+
+
+def drag_marker(app, number: int, way: tuple[float, float]) -> None:
+    """Drags a marker on the model by some window pixels."""
+    driver = app.driver
+    world = entry_of(app).pairs[number - 1].world
+    position, R_page_cam, view_rad = driver.viewport_camera()
+    canvas = driver.canvas()
+    focal = 0.5 * canvas["height"] / np.tan(0.5 * view_rad)
+    x, y, depth = R_page_cam.T @ (app.page.scene.frame.to_page(world) - position)
+    start = (
+        canvas["x"] + canvas["width"] / 2 + focal * x / depth,
+        canvas["y"] + canvas["height"] / 2 + focal * y / depth,
+    )
+    driver.drag(start, way)
+
+
+def distance_to_surface(mesh, point) -> float:
+    return float(
+        trimesh.Trimesh(mesh.vertices, mesh.faces).nearest.on_surface([point])[1][0]
+    )
+
+
+def test_two_wrong_pairs_of_eight_are_named_and_the_camera_holds(app, toy_document):
+    driver, mesh = app.driver, toy_document.mesh
+    true = toy_document.photos[0].camera
+    places = places_to_click(app, true, 8)
+    # Two points that somebody mistook: a tenth of the photo aside.
+    for i, way in ((2, (16.0, 5.0)), (6, (-14.0, -8.0))):
+        places[i] = (places[i][0], places[i][1] + way)
+    click_pairs(app, places)
+    driver.click("Solve")
+    wait_until(lambda: app.state.undo_name == "Solve camera 1", "it is solved", 30)
+    error = projection_error(mesh, [true], [entry_of(app).camera]).mean
+    assert error < 1.5, f"{error:.2f} px off"
+    driver.page.get_by_text("Pairs 3 and 7 do not fit").wait_for()
+    assert driver.page.get_by_text("does not fit", exact=True).count() == 2
+    colours = {n: ball.color for n, ball in app.page.scene.markers._balls.items()}
+    assert [n for n, colour in sorted(colours.items()) if colour == WRONG] == [3, 7]
 
 
 def test_a_mask_is_painted_with_the_mouse_and_undone(app):

@@ -1,0 +1,143 @@
+"""Files read in a process of their own, which Cancel simply ends.
+
+Neither Pillow nor trimesh can be interrupted within a file. The worker cannot be ended
+for it: it holds the scene and its compiled kernels, and may be at work.
+"""
+
+import logging
+import multiprocessing
+import signal
+import threading
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+
+from app.messages import (
+    Failed,
+    MeshLoaded,
+    PhotoLoaded,
+    ReadAll,
+    Reading,
+    ReadingEvent,
+)
+from app.opening import DISPLAY_FACES
+from photoreg.errors import PhotoregError
+from photoreg.mesh import MESH_SUFFIXES, load_mesh
+from photoreg.photo import load_photo
+
+log = logging.getLogger(__name__)
+
+PARSED = 0.6
+"""Share of a mesh's time after which its file is read; the rest thins it for display."""
+
+PATIENCE_S = 5.0
+
+
+class Reader:
+    """Reads one batch of files at a time. Events arrive on a thread of this object."""
+
+    def __init__(self) -> None:
+        self._context = multiprocessing.get_context("spawn")
+        self._lock = threading.Lock()
+        self._process: BaseProcess | None = None
+        self._connection: Connection | None = None
+
+    def prepare(self) -> None:
+        """Starts the process, which takes a second; files may still be on their way."""
+        with self._lock:
+            self._start()
+
+    def read(
+        self, paths: Sequence[Path], on_event: Callable[[ReadingEvent], None]
+    ) -> None:
+        """Starts to read; returns at once. The last event is ``ReadAll``.
+
+        After ``cancel`` some events may still come that were on their way.
+        """
+        with self._lock:
+            process, connection = self._start()
+        threading.Thread(
+            target=_pump,
+            args=(process, connection, tuple(paths), on_event),
+            daemon=True,
+            name="reader",
+        ).start()
+
+    def cancel(self) -> None:
+        """Ends the process, whatever it is about."""
+        with self._lock:
+            process, self._process = self._process, None
+        if process is not None:
+            process.kill()
+            process.join(timeout=PATIENCE_S)
+
+    def _start(self) -> tuple[BaseProcess, Connection]:
+        process, connection = self._process, self._connection
+        if process is None or connection is None or not process.is_alive():
+            connection, theirs = self._context.Pipe()
+            process = self._context.Process(target=_serve, args=(theirs,), daemon=True)
+            process.start()
+            # Only while the child alone holds its end does its death end the pipe.
+            theirs.close()
+            self._process, self._connection = process, connection
+        return process, connection
+
+
+def _pump(
+    process: BaseProcess,
+    connection: Connection,
+    paths: tuple[Path, ...],
+    on_event: Callable[[ReadingEvent], None],
+) -> None:
+    try:
+        connection.send(paths)
+        while True:
+            event: ReadingEvent = connection.recv()
+            on_event(event)
+            if isinstance(event, ReadAll):
+                return
+    except (EOFError, OSError):
+        process.join(timeout=PATIENCE_S)
+        text = "Reading was cut short; there may be too little memory for these files."
+        on_event(Failed("read", text))
+        on_event(ReadAll(complete=False))
+    except Exception:
+        log.exception("A file that was read was not handled")
+        on_event(ReadAll(complete=False))
+
+
+def _serve(connection: Connection) -> None:
+    # Ctrl-C in the terminal reaches the whole group; only the app decides.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        while True:
+            for event in _read(connection.recv()):
+                connection.send(event)
+    except (EOFError, OSError):
+        return  # The app is gone.
+
+
+def _read(paths: tuple[Path, ...]) -> Iterator[ReadingEvent]:
+    sizes = [max(path.stat().st_size, 1) for path in paths]
+    for i, path in enumerate(paths):
+        of = f" ({i + 1} of {len(paths)})" if len(paths) > 1 else ""
+        done, share = sum(sizes[:i]) / sum(sizes), sizes[i] / sum(sizes)
+        yield Reading(f"Reading {path.name}{of}", done)
+        try:
+            if path.suffix.lower() in MESH_SUFFIXES:
+                mesh = load_mesh(path)
+                title = f"Preparing {path.name} for display{of}"
+                yield Reading(title, done + PARSED * share)
+                yield MeshLoaded(mesh, mesh.decimated(DISPLAY_FACES))
+            else:
+                yield PhotoLoaded(load_photo(path))
+        except PhotoregError as error:
+            yield Failed("read", str(error))
+        except MemoryError:
+            yield Failed("read", f"There is not enough memory to read {path.name}.")
+        except Exception:  # noqa: BLE001 - the border of the process: report.
+            text = f"Reading {path.name} crashed; the terminal has the details."
+            yield Failed("read", text, traceback.format_exc())
+    yield ReadAll(complete=True)
