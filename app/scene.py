@@ -5,28 +5,19 @@ Nodes: /solid (clay or textured model), /clear (the translucent mesh of look-thr
 not want; see viewport.
 """
 
-import dataclasses
-from collections.abc import Callable
-
 import numpy as np
 import viser
-import viser.transforms as vtf
 
 from app.controls import put
+from app.frusta import SELECTED_COLOUR, Frusta
+from app.gizmos import Gizmos
 from app.markers import Markers
-from app.placement import DisplayFrame, frustum_corners, orbit_axes, orbited
-from app.state import PhotoEntry, State
-from photoreg.camera import Camera
+from app.placement import DisplayFrame
+from app.state import State
 from photoreg.mesh import Mesh
 
 CLAY = (160, 132, 108)
-SELECTED_COLOUR = (45, 190, 175)
-FRUSTUM_COLOUR = (140, 150, 170)
-GHOST_COLOUR = (120, 120, 130)
-IMAGE_SIDE_PX = 640
 LINE_COLOUR = (255, 64, 190)
-GIZMO_PX = 105.0
-ORBIT_PX = 190.0
 SORTED_DEG = 12.0
 """The order of the faces holds for views this near to the one it was made for."""
 
@@ -40,18 +31,14 @@ class Scene:
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
         self.frame = DisplayFrame()
-        self._holder: int | None = None
         self._mesh: Mesh | None = None
         self._up: tuple[float, float, float] | None = None
-        self._frusta: list[Frustum] = []
-        self._ghosts: list[viser.LineSegmentsHandle] = []
         self._texture: object = None
         self._textured: viser.GlbHandle | None = None
         self._run_is_shown = False
         self._surfaces: list[viser.GlbHandle] = []
         self._surface_glb: bytes | None = None
         self._surface_count = 0
-        self._ghosts_of: tuple[Camera, ...] = ()
         self._clay: viser.MeshHandle | None = None
         self._clear: viser.MeshHandle | None = None
         scene = server.scene
@@ -62,81 +49,8 @@ class Scene:
         self._faces: np.ndarray | None = None
         self._lines: viser.LineSegmentsHandle | None = None
         self._segments: np.ndarray | None = None
-        # Two gizmos, of which one is shown: at the camera, and about the object.
-        self.gizmo = scene.add_transform_controls(
-            "/cameras/gizmo",
-            scale=GIZMO_PX,
-            fixed=True,
-            depth_test=False,
-            line_width=3.0,
-            visible=False,
-        )
-        self.orbit = scene.add_transform_controls(
-            "/cameras/orbit",
-            scale=ORBIT_PX,
-            fixed=True,
-            depth_test=False,
-            line_width=4.0,
-            disable_axes=True,
-            disable_sliders=True,
-            visible=False,
-        )
-        self._orbit_rest = np.eye(3)
-        self._orbit_start: tuple[Camera, np.ndarray] | None = None
-
-    def on_gizmo(
-        self, moved: Callable[[str, int, Callable[[Camera], Camera]], None]
-    ) -> None:
-        """Calls ``moved(phase, browser, change)`` as a gizmo is dragged.
-
-        ``change`` makes the camera where the hand has it from the one in force.
-        """
-
-        @self.gizmo.on_update
-        async def _(event: viser.TransformControlsEvent) -> None:
-            self._hold(event)
-            rotation = vtf.SO3(event.target.wxyz).as_matrix()
-            position = np.array(event.target.position)
-            moved(
-                event.phase,
-                event.client_id or 0,
-                lambda camera: self.frame.with_pose(camera, rotation, position),
-            )
-
-        @self.orbit.on_update
-        async def _(event: viser.TransformControlsEvent) -> None:
-            self._hold(event)
-            wxyz = np.array(event.target.wxyz)
-            moved(
-                event.phase,
-                event.client_id or 0,
-                lambda camera: self._orbited(camera, wxyz),
-            )
-            if event.phase == "end":
-                self._orbit_start = None
-
-    def let_go(self, browser: int) -> None:
-        """Frees the gizmo that a browser held when it went away."""
-        if self._holder == browser:
-            self._holder = None
-            self._orbit_start = None
-
-    def _hold(self, event: viser.TransformControlsEvent) -> None:
-        self._holder = None if event.phase == "end" else event.client_id
-
-    def _orbited(self, camera: Camera, wxyz: np.ndarray) -> Camera:
-        """The camera orbited as far as the gizmo was turned since it was taken."""
-        if self._orbit_start is None:
-            self._orbit_start = (camera, self._orbit_rest)
-        start, rest = self._orbit_start
-        # From the start each time: steps would add up their rounding.
-        turn = vtf.SO3(wxyz).as_matrix() @ rest.T
-        carried = orbited(start, self.frame.to_world(np.zeros(3)), turn)
-        return dataclasses.replace(
-            camera,
-            R_cam_world=carried.R_cam_world,
-            t_cam_world=carried.t_cam_world,
-        )
+        self.gizmos = Gizmos(scene)
+        self.frusta = Frusta(server)
 
     def show(self, state: State, lines: np.ndarray | None = None) -> None:
         """Makes the nodes as ``state`` has them; sends only what changed.
@@ -146,8 +60,8 @@ class Scene:
         self._show_mesh(state)
         self._show_lines(state, lines)
         self._show_texture(state)
-        self._show_frusta(state)
-        self._show_gizmo(state)
+        self.frusta.show(state, self.frame)
+        self.gizmos.show(state, self.frame)
         self.markers.show(state, self.frame)
 
     def _show_mesh(self, state: State) -> None:
@@ -266,126 +180,6 @@ class Scene:
         if self._clay is not None:
             put(self._clay, "visible", not covered)
 
-    def _show_frusta(self, state: State) -> None:
-        photos = state.photos
-        while len(self._frusta) > len(photos):
-            self._frusta.pop().remove()
-        for i, entry in enumerate(photos):
-            if i == len(self._frusta):
-                self._frusta.append(Frustum(self._server, f"/cameras/{i}"))
-            self._frusta[i].show(entry, self.frame, i == state.selected)
-        starts = state.run.start if state.run.status != "idle" else ()
-        self._show_ghosts(starts)
-
-    def _show_ghosts(self, cameras: tuple[Camera, ...]) -> None:
-        """Thin outlines where the cameras were when the refinement started."""
-        if cameras is self._ghosts_of:
-            return
-        self._ghosts_of = cameras
-        for ghost in self._ghosts:
-            ghost.remove()
-        self._ghosts = []
-        for i, camera in enumerate(cameras):
-            rotation, position = self.frame.pose(camera)
-            corners = frustum_corners(camera) @ rotation.T + position
-            self._ghosts.append(
-                self._server.scene.add_line_segments(
-                    f"/cameras/start-{i}",
-                    frustum_lines(position, corners),
-                    colors=GHOST_COLOUR,
-                    thickness=1.0,
-                    thickness_units="screen",
-                )
-            )
-
-    def _show_gizmo(self, state: State) -> None:
-        entry = state.selected_photo
-        visible = entry is not None and state.run.status == "idle"
-        put(self.gizmo, "visible", visible and state.gizmo == "move")
-        put(self.orbit, "visible", visible and state.gizmo == "orbit")
-        if entry is None or self._holder is not None:
-            return  # The hand that drags it is ahead of the state.
-        rotation, position = self.frame.pose(entry.camera)
-        self.gizmo.wxyz = vtf.SO3.from_matrix(rotation).wxyz
-        self.gizmo.position = position
-        self._orbit_rest = orbit_axes(position, np.array(state.document.up))
-        self.orbit.wxyz = vtf.SO3.from_matrix(self._orbit_rest).wxyz
-
-
-class Frustum:
-    """One photo in the scene: lines from the camera's centre, and the photo itself.
-
-    Made from K by hand; viser's own frustum has no principal point.
-    """
-
-    def __init__(self, server: viser.ViserServer, name: str) -> None:
-        self._scene = server.scene
-        self._name = name
-        self._root = server.scene.add_frame(name, show_axes=False)
-        self._lines: viser.LineSegmentsHandle | None = None
-        self._image: viser.ImageHandle | None = None
-        self._photo: object = None
-        self._K: np.ndarray | None = None
-
-    def show(self, entry: PhotoEntry, frame: DisplayFrame, selected: bool) -> None:
-        """Makes the nodes as ``entry`` has them."""
-        camera = entry.camera
-        rotation, position = frame.pose(camera)
-        self._root.wxyz = vtf.SO3.from_matrix(rotation).wxyz
-        self._root.position = position
-        if (
-            self._photo is not entry.photo
-            or self._K is None
-            or not np.array_equal(self._K, camera.K)
-        ):
-            self._draw(entry)
-        assert self._lines is not None
-        assert self._image is not None
-        colour = SELECTED_COLOUR if selected else FRUSTUM_COLOUR
-        if not np.array_equal(self._lines.colors, colour):
-            self._lines.colors = np.array(colour, dtype=np.uint8)
-        put(self._lines, "thickness", 3.0 if selected else 1.6)
-        put(self._image, "visible", entry.enabled)
-
-    def _draw(self, entry: PhotoEntry) -> None:
-        camera = entry.camera
-        corners = frustum_corners(camera)
-        lines = frustum_lines(np.zeros(3), corners)
-        width = float(np.linalg.norm(corners[1] - corners[0]))
-        height = float(np.linalg.norm(corners[3] - corners[0]))
-        centre = corners.mean(axis=0)
-        if self._lines is None:
-            self._lines = self._scene.add_line_segments(
-                f"{self._name}/lines",
-                lines,
-                colors=FRUSTUM_COLOUR,
-                thickness=1.6,
-                thickness_units="screen",
-            )
-        else:
-            self._lines.points = lines.astype(np.float32)
-        if self._photo is not entry.photo or self._image is None:
-            self._image = self._scene.add_image(
-                f"{self._name}/photo",
-                entry.photo.resized(IMAGE_SIDE_PX).pixels,
-                width,
-                height,
-                format="jpeg",
-                jpeg_quality=85,
-                cast_shadow=False,
-                receive_shadow=False,
-                position=centre,
-            )
-        else:
-            self._image.render_width = width
-            self._image.render_height = height
-            self._image.position = centre
-        self._photo, self._K = entry.photo, camera.K
-
-    def remove(self) -> None:
-        """Takes the nodes out of the scene."""
-        self._root.remove()
-
 
 def outward_faces(mesh: Mesh) -> np.ndarray | None:
     """The faces, wound so that they look outwards; None where that has no meaning.
@@ -409,10 +203,3 @@ def outward_faces(mesh: Mesh) -> np.ndarray | None:
     if facing.mean() > OUTWARD_SHARE:
         return mesh.faces
     return mesh.faces[:, ::-1] if facing.mean() < 1.0 - OUTWARD_SHARE else None
-
-
-def frustum_lines(apex: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Segments (8, 2, 3): apex to each corner, and around the corners."""
-    spokes = [[apex, corner] for corner in corners]
-    sides = [[corners[i], corners[(i + 1) % 4]] for i in range(4)]
-    return np.array(spokes + sides)

@@ -81,7 +81,7 @@ class Page:
         self._closed = False
         self.server.scene.configure_default_lights(cast_shadow=shadows)
         self.scene = Scene(self.server)
-        self.scene.on_gizmo(self._on_gizmo)
+        self.scene.gizmos.on_pull(self._on_gizmo)
         self._build()
         session.listen(lambda *_: self._wake.set())
         conductor.on_picture = self._wake.set
@@ -267,7 +267,7 @@ class Page:
         self._hands.drop(client.client_id)
         self.conductor.intake.left(client.client_id)
         self._help.forget(client)
-        self.scene.let_go(client.client_id)
+        self.scene.gizmos.let_go(client.client_id)
         self._wake.set()
 
     def _on_gizmo(

@@ -23,12 +23,14 @@ import tyro
 
 from tests.bench import (
     accuracy,
+    big,
     calibration,
     kernel,
     optimisers,
     page,
     resection,
     speed,
+    way,
 )
 from tests.bench.metrics import (
     BENCHES,
@@ -40,12 +42,14 @@ from tests.bench.metrics import (
 
 __all__ = [
     "accuracy",
+    "big",
     "calibration",
     "kernel",
     "optimisers",
     "page",
     "resection",
     "speed",
+    "way",
 ]
 
 

@@ -37,7 +37,7 @@ def page(setting: Setting) -> Iterator[Metric]:
     try:
         wait_until(lambda: not session.state.worker, "the engine is warm", 300)
         wait_until(lambda: session.state.agreement is not None, "a first measurement")
-        yield from _readout(session)
+        yield from readouts("page.readout", session)
         with sync_playwright() as playwright:
             browser = launch(playwright)
             yield from _moves(session, browser, f"http://127.0.0.1:{served.port}")
@@ -69,7 +69,7 @@ class _Stamp:
         return self.at
 
 
-def _readout(session: Session) -> Iterator[Metric]:
+def readouts(name: str, session: Session) -> Iterator[Metric]:
     """From a camera's change to the new number in the state."""
     stepper, taken = Stepper(session), []
     for i in range(N_MOVES):
@@ -79,7 +79,7 @@ def _readout(session: Session) -> Iterator[Metric]:
         taken.append(1e3 * (stamp.wait() - began))
         # At the pace of a drag: the overlay is still being drawn when the next comes.
         time.sleep(0.05)
-    yield from spread("page.readout", taken, "ms", 100.0, tolerance=1.0)
+    yield from spread(name, taken, "ms", 100.0, tolerance=1.0)
 
 
 def _moves(session: Session, browser: Browser, address: str) -> Iterator[Metric]:

@@ -1,6 +1,5 @@
 """A browser for all tests, and the app with a page on it."""
 
-import dataclasses
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -11,22 +10,8 @@ from app.server import Page
 from app.session import Session
 from app.state import Document, PhotoEntry, State
 from app.warm_up import toy_scene
+from tests.browser.app import App
 from tests.browser.driver import Driver, launch
-
-
-@dataclasses.dataclass
-class App:
-    """The running app, from both sides: its state, and the page a person sees."""
-
-    session: Session
-    conductor: Conductor
-    page: Page
-    driver: Driver
-
-    @property
-    def state(self) -> State:
-        return self.session.state
-
 
 OpenApp = Callable[[Document], App]
 

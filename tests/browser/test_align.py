@@ -76,14 +76,16 @@ def undo(app, before) -> None:
 def test_an_arc_of_the_orbit_gizmo_carries_the_camera_around_the_object(app):
     driver, before = app.driver, app.state.document
     driver.choose("Gizmo", "Orbit")
-    wait_until(lambda: app.page.scene.orbit.visible, "the orbit gizmo is shown", 20)
+    wait_until(
+        lambda: app.page.scene.gizmos.orbit.visible, "the orbit gizmo is shown", 20
+    )
     driver.frames(6)
     # The arc about upwards lies in the plane of the first and third axis.
-    axes = app.page.scene._orbit_rest
+    axes = app.page.scene.gizmos.orbit_rest
     position, _, view_rad = driver.viewport_camera()
     unit = np.linalg.norm(position) * np.tan(0.5 * view_rad) * 2
     unit /= driver.canvas()["height"]  # Page units of a pixel, at the object.
-    radius = 0.65 * app.page.scene.orbit.scale * unit
+    radius = 0.65 * app.page.scene.gizmos.orbit.scale * unit
     places = [
         radius * (np.cos(a) * axes[:, 0] + np.sin(a) * axes[:, 2])
         for a in np.radians((45.0, 65.0))
@@ -111,7 +113,7 @@ def test_an_arc_of_the_move_gizmo_turns_the_camera_in_its_place(app):
     position, rotation, view_rad = driver.viewport_camera()
     unit = (rotation.T @ (centre - position))[2] * np.tan(0.5 * view_rad) * 2
     unit /= driver.canvas()["height"]  # Page units of a pixel, at the camera.
-    radius = 0.65 * app.page.scene.gizmo.scale * unit
+    radius = 0.65 * app.page.scene.gizmos.move.scale * unit
     # The arc that is seen most from the front is the easiest to take.
     toward = (position - centre) / np.linalg.norm(position - centre)
     i = int(np.argmax(np.abs(axes.T @ toward)))

@@ -1,6 +1,5 @@
 """Files dropped onto the page, or chosen together, with their real bytes."""
 
-import base64
 import os
 import signal
 
@@ -11,20 +10,7 @@ from app.session import with_document
 from app.state import Document, same_camera
 from photoreg.formats.cameras_json import CameraFile, dump_cameras
 from tests.browser.driver import wait_until
-
-_DROP = """files => {
-  const transfer = new DataTransfer();
-  for (const [name, text] of files) {
-    const bytes = Uint8Array.from(atob(text), c => c.charCodeAt(0));
-    transfer.items.add(new File([bytes], name));
-  }
-  const send = kind => document.querySelector('canvas').dispatchEvent(
-    new DragEvent(kind, {dataTransfer: transfer, bubbles: true, cancelable: true}));
-  send('dragenter'); send('dragover');
-  const shown = document.getElementById('photoreg-drop').style.display;
-  send('drop');
-  return [shown, document.getElementById('photoreg-drop').style.display];
-}"""
+from tests.browser.own_files import drop
 
 
 @pytest.fixture(scope="module")
@@ -49,12 +35,6 @@ def running(open_app_once):
     return open_app_once(Document())
 
 
-def drop(app, files: dict[str, bytes]) -> list[str]:
-    app.driver.dismiss_toasts()
-    texts = [[name, base64.b64encode(data).decode()] for name, data in files.items()]
-    return app.driver.page.evaluate(_DROP, texts)
-
-
 def names(app) -> list[str]:
     return [entry.name for entry in app.state.document.photos]
 
@@ -67,7 +47,7 @@ def test_a_mesh_photos_and_cameras_dropped_together_are_one_new_scene(
     before = app.state.document
     # The worst order: what needs the others comes first.
     order = ("cameras.json", "b.png", "a.png", "rock.obj")
-    shown = drop(app, {name: files[name] for name in order})
+    shown = drop(app.driver, {name: files[name] for name in order})
     assert shown == ["flex", "none"], "the target shows while files hover"
 
     def opened() -> bool:
@@ -95,7 +75,7 @@ def test_a_bad_file_among_good_ones_is_told_and_the_others_are_opened(running, f
     app = running
     app.session.change("Begin", with_document(mesh=None, display_mesh=None, photos=()))
     drop(
-        app,
+        app.driver,
         {
             "notes.txt": b"notes",
             "broken.jpg": b"not a picture",
@@ -130,18 +110,18 @@ def test_cancel_ends_the_reading_and_leaves_no_trace(running, files):
     # The hardest case: a reader that hangs within a file and hears nothing.
     process = reader._process
     os.kill(process.pid, signal.SIGSTOP)
-    drop(app, {name: files[name] for name in ("rock.obj", "a.png", "b.png")})
+    drop(app.driver, {name: files[name] for name in ("rock.obj", "a.png", "b.png")})
     app.driver.page.get_by_role("status").get_by_text("Opening").wait_for()
     # Meanwhile the server answers, and what would disturb is refused.
     app.driver.tab("2 Align")
-    drop(app, {"a.png": files["a.png"]})
+    drop(app.driver, {"a.png": files["a.png"]})
     app.driver.page.get_by_text("is still going on").wait_for()
     app.driver.click("Cancel")
     wait_until(lambda: app.state.job is None, "it is cancelled", 20)
     wait_until(lambda: not process.is_alive(), "the process is gone", 20)
     assert app.state.document is before
     app.driver.page.get_by_text("Cancelled; nothing was opened.").wait_for()
-    drop(app, {"a.png": files["a.png"]})
+    drop(app.driver, {"a.png": files["a.png"]})
     wait_until(lambda: names(app) == ["a.png"], "the next file is opened")
 
 
@@ -150,7 +130,7 @@ def test_a_reader_that_dies_is_told_and_changes_nothing(running, files):
     before, reader = app.state.document, app.conductor.intake._reader
     reader.prepare()
     os.kill(reader._process.pid, signal.SIGSTOP)
-    drop(app, {"b.png": files["b.png"]})
+    drop(app.driver, {"b.png": files["b.png"]})
     app.driver.page.get_by_role("status").get_by_text("Opening").wait_for()
     os.kill(reader._process.pid, signal.SIGKILL)
     app.driver.page.get_by_text("Reading was cut short").wait_for()

@@ -11,7 +11,8 @@ from app.markers import WRONG
 from app.masks import decode_mask
 from app.session import select, setting, with_document
 from photoreg.evaluate import projection_error
-from tests.browser.driver import Driver, wait_until
+from tests.browser.driver import wait_until
+from tests.browser.own_files import click_pairs, in_picker, places_to_click
 
 
 @pytest.fixture(scope="module")
@@ -38,61 +39,6 @@ def app(running, toy_document):
 
 def entry_of(app):
     return app.state.document.photos[0]
-
-
-def in_picker(driver: Driver, pixel) -> list[float]:
-    """Window pixels of a pixel of the photo."""
-    pixel = [float(v) for v in pixel]
-    return driver.page.evaluate("p => photoreg.picker.toClient(...p)", pixel)
-
-
-def places_to_click(app, camera, n: int) -> list[tuple[tuple[int, int], np.ndarray]]:
-    """Far apart, window pixels over the model that the photo sees, and where it does."""
-    driver, frame = app.driver, app.page.scene.frame
-    mesh = app.state.document.mesh
-    position, R_page_cam, view_rad = driver.viewport_camera()
-    canvas = driver.canvas()
-    focal = 0.5 * canvas["height"] / np.tan(0.5 * view_rad)
-    middle = (canvas["x"] + canvas["width"] / 2, canvas["y"] + canvas["height"] / 2)
-    x, y = np.meshgrid(
-        np.arange(int(canvas["x"]) + 20, int(canvas["x"] + canvas["width"]) - 20, 12),
-        np.arange(int(canvas["y"]) + 20, int(canvas["y"] + canvas["height"]) - 20, 12),
-    )
-    spots = np.stack([x.ravel(), y.ravel()], axis=1)
-    rays = np.column_stack([(spots - middle) / focal, np.ones(len(spots))])
-    rays = rays @ R_page_cam.T
-    start = np.repeat(frame.to_world(position)[None], len(rays), axis=0)
-    faces, distances = mesh.first_hits(start, rays)
-    hit = faces >= 0
-    spots, world = spots[hit], (start + distances[:, None] * rays)[hit]
-    ways = world - camera.center
-    starts = np.repeat(camera.center[None], len(ways), axis=0)
-    _, seen_at = mesh.first_hits(starts, ways)
-    pixels = camera.project(world)
-    good = (np.abs(seen_at - 1.0) < 1e-3) & camera.contains(pixels)
-    spots, pixels, world = spots[good], pixels[good], world[good]
-    assert len(spots) > 3 * n, "model and photo share much of the surface"
-    chosen = [0]
-    while len(chosen) < n:
-        apart = np.linalg.norm(world[:, None] - world[chosen][None], axis=2)
-        chosen.append(int(np.argmax(apart.min(axis=1))))
-    return [((int(spots[i][0]), int(spots[i][1])), pixels[i]) for i in chosen]
-
-
-def click_pairs(app, places) -> None:
-    """Clicks points in the photo and on the model, by turns."""
-    driver = app.driver
-    for i, (spot, pixel) in enumerate(places, 1):
-        driver.page.mouse.click(*in_picker(driver, pixel))
-        wait_until(
-            lambda i=i: len(entry_of(app).pairs) == i, f"point {i} in the photo", 30
-        )
-        driver.page.mouse.click(*spot)
-        wait_until(
-            lambda i=i: len(entry_of(app).whole_pairs) == i,
-            f"point {i} on the model",
-            30,
-        )
 
 
 def test_six_pairs_clicked_in_photo_and_model_place_the_camera(app, toy_document):
@@ -172,10 +118,11 @@ def drag_marker(app, number: int, way: tuple[float, float]) -> None:
     driver.drag(start, way)
 
 
-def distance_to_surface(mesh, point) -> float:
-    return float(
-        trimesh.Trimesh(mesh.vertices, mesh.faces).nearest.on_surface([point])[1][0]
-    )
+def distance_to_surface(mesh, point: np.ndarray) -> float:
+    triangles = mesh.vertices[mesh.faces]
+    points = np.repeat(point[None], len(triangles), axis=0)
+    nearest = trimesh.triangles.closest_point(triangles, points)
+    return float(np.linalg.norm(nearest - point, axis=1).min())
 
 
 def test_two_wrong_pairs_of_eight_are_named_and_the_camera_holds(app, toy_document):

@@ -5,16 +5,19 @@ import zipfile
 from typing import Any
 
 import numpy as np
+import pytest
 import trimesh
 
 from app.state import Document
 from photoreg.camera import Camera
+from photoreg.evaluate import projection_error
 from photoreg.mesh import Mesh
 from photoreg.sampling import SurfaceSamples
 from photoreg.scene_options import SceneOptions
 from photoreg.synthetic import Scene, make_scene
 from photoreg.visibility import visible
 from tests.browser.driver import wait_until
+from tests.browser.own_files import whole_way
 
 MAX_ERROR_PX = 1.5
 MEDIAN_COLOUR_DIFFERENCE = 4.0
@@ -104,6 +107,22 @@ def test_a_person_s_whole_way(open_app, tmp_path):
     check_model(path.read_bytes(), tmp_path, demo)
 
 
+@pytest.mark.slow
+def test_a_whole_way_with_files_of_one_s_own(open_app):
+    scene = make_scene(SceneOptions(kind="shell", seed=5, width=800, height=600))
+    app = open_app(Document())
+    errors = {step: true_error_px(app, scene) for step in whole_way(app, scene)}
+    assert errors["points2"] < 20.0, f"by points {errors['points2']:.2f} px"
+    assert errors["download"] < 1.0, f"refined {errors['download']:.2f} px"
+
+
+def true_error_px(app, scene: Scene) -> float:
+    known = {p.name: c for p, c in zip(scene.photos, scene.cameras, strict=True)}
+    entries = app.state.document.photos
+    true = [known[entry.name] for entry in entries]
+    return projection_error(scene.mesh, true, [e.camera for e in entries]).mean
+
+
 def same_rotation(a: Camera, b: Camera) -> bool:
     return bool(np.abs(a.R_cam_world - b.R_cam_world).max() < 1e-9)
 
@@ -130,7 +149,7 @@ def gizmo_grip(app) -> tuple[tuple[float, float], tuple[float, float]]:
     steps = [on_screen(centre + 0.05 * axes[:, i]) - middle for i in range(3)]
     step = max(steps, key=lambda s: float(np.linalg.norm(s)))
     direction = step / np.linalg.norm(step)
-    size = app.page.scene.gizmo.scale
+    size = app.page.scene.gizmos.move.scale
     start = middle + 0.8 * size * direction + (canvas["x"], canvas["y"])
     way = 45.0 * direction
     return (float(start[0]), float(start[1])), (float(way[0]), float(way[1]))
