@@ -43,6 +43,10 @@ from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.readiness import check_readiness
 
+REST_S = 0.25
+"""So long nothing must have been asked for before time counts as spare: while a camera
+is dragged, the next number and picture are wanted every 50 ms."""
+
 
 def run_worker(connection: Connection, warm_up: bool) -> None:
     """Entry of the process: works until the pipe ends."""
@@ -86,7 +90,7 @@ class WorkerProcess:
             self._send(Ready(0.0))
         while True:
             try:
-                if not self._backlog and not self._connection.poll(0):
+                if not self._backlog and not self._connection.poll(REST_S):
                     self._use_spare_time()
             except PhotoregError:
                 pass  # Refine itself will say what is wrong.

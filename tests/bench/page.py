@@ -25,6 +25,14 @@ _WATCH = """() => {
     if (now !== bench.last) { bench.last = now; bench.at ||= Date.now(); }
   }, 3);
 }"""
+_LISTEN = """() => {
+  const send = __viserMutable.sendMessage;
+  window.bench = {sent: 0};
+  __viserMutable.sendMessage = message => {
+    if (message.type === 'ViewerCameraMessage') bench.sent ||= Date.now();
+    send(message);
+  };
+}"""
 
 
 @bench
@@ -94,20 +102,27 @@ def _moves(session: Session, browser: Browser, address: str) -> Iterator[Metric]
     one, other = windows
     one.choose("View", "Move")
     one.frames(20)
+    one.page.evaluate(_LISTEN)
     other.page.evaluate(_WATCH)
     box = one.canvas()
     one.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-    to_state, to_other = [], []
+    to_state, answers, to_other = [], [], []
     for i in range(N_MOVES):
         one.frames(4)
         other.frames(4)
+        one.page.evaluate("() => { bench.sent = 0; }")
         other.page.evaluate("() => { bench.at = 0; }")
         stamp = _Stamp(session, lambda old, new: new.document is not old.document)
         began = time.time()
         one.page.mouse.wheel(0, 100 if i % 2 else -100)
-        to_state.append(1e3 * (stamp.wait() - began))
+        changed = stamp.wait()
+        to_state.append(1e3 * (changed - began))
+        sent = float(one.page.evaluate("() => bench.sent"))
+        answers.append(1e3 * changed - sent)
         seen = other.page.wait_for_function("() => bench.at").json_value()
         to_other.append(float(seen) - 1e3 * began)
     note = "software WebGL, mostly the frames of the browsers"
     yield from spread("page.to_state", to_state, "ms", None, tolerance=1.0, note=note)
+    own = "the server's part: from the browser's message to the state"
+    yield from spread("page.answer", answers, "ms", 50.0, tolerance=1.0, note=own)
     yield from spread("page.to_other", to_other, "ms", None, tolerance=1.0, note=note)
