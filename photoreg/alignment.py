@@ -22,6 +22,7 @@ from photoreg.photo import Photo
 from photoreg.photometric import (
     EDGE_MARGIN_PX,
     PairTerm,
+    SurfaceView,
     camera_rays,
     pair_points,
     prepare_photo,
@@ -94,14 +95,15 @@ class PolishStep:
     x: Float[np.ndarray, "p"]
     """Nine increments a camera, in units of the prior."""
     normal: Float[np.ndarray, "p p"]
-    """Normal matrix of the cost at x, in the same units; of the last step with all that
-    makes residuals dependent taken off, so that its inverse is the covariance."""
+    """Normal matrix of the cost at x, in the same units."""
     increments: tuple[Increments, ...]
     """What the numbers mean."""
     directions: Float[np.ndarray, "p q"]
     """What moved by itself; see ``increments.free_directions``."""
     warnings: tuple[str, ...]
     """What the user should know, in sentences."""
+    scatter: Float[np.ndarray, "p p"] | None = None
+    """Of the last step only: covariance of the cost's gradient, in inverse units."""
     disagreement: Disagreement | None = None
     """Of the last step only: ``agreement.disagreement`` of these cameras."""
     start_disagreement: Disagreement | None = None
@@ -199,8 +201,12 @@ def polish_cameras(
                 )
                 yield latest
     assert latest is not None  # A configuration has at least one level and round.
-    sober = [prior, *(term.tempered(x, sober=True) for term in terms)]
-    latest = dataclasses.replace(latest, normal=total(sober, x).normal)
+    latest = dataclasses.replace(
+        latest,
+        normal=total([prior, *terms], x).normal,
+        # The prior's gradient is as uncertain as the prior says.
+        scatter=prior.precision + sum(term.scatter(x) for term in terms),
+    )
     before = start_disagreement
     if before is None:
         before = disagreement(mesh, photos, cameras, config.min_cosine)
@@ -317,25 +323,13 @@ def _terms(
     pairs = [(i, k) for k in range(len(photos)) for i in range(k)]
     terms: list[PairTerm | RimTerm] = []
     if config.use_silhouette:
-        for i, (photo, view) in enumerate(zip(photos, views, strict=True)):
-            scale = view.camera.width / 1024.0
-            rim = find_rim(mesh, view, config.rim_points)
-            if len(rim.points) < 50:
-                continue
-            edges = find_edges(
-                photo, view, rim, max(3.0, config.rim_reaches_px[level] * scale)
-            )
-            rim_term = RimTerm.measured(
-                i,
-                rim,
-                edges,
-                (view.camera.width, view.camera.height),
-                increments[i],
-                OUTLINE_SIGMA_PX * scale,
-                0.5,
-            )
-            if rim_term is not None:
-                terms.append(rim_term)
+
+        def rim_term(i: int) -> RimTerm | None:
+            return _rim_term(mesh, photos[i], views[i], i, increments[i], level, config)
+
+        with concurrent.futures.ThreadPoolExecutor() as threads:
+            found = threads.map(rim_term, range(len(photos)))
+            terms += [term for term in found if term is not None]
     if not config.use_colour:
         return terms
     for i, k in pairs:
@@ -366,3 +360,29 @@ def _terms(
             )
         )
     return terms
+
+
+def _rim_term(
+    mesh: Mesh,
+    photo: Photo,
+    view: SurfaceView,
+    index: int,
+    increments: Increments,
+    level: int,
+    config: PolishConfig,
+) -> RimTerm | None:
+    """The outline of one photo; None where there is too little of it."""
+    scale = view.camera.width / 1024.0
+    rim = find_rim(mesh, view, config.rim_points)
+    if len(rim.points) < 50:
+        return None
+    reach_px = max(3.0, config.rim_reaches_px[level] * scale)
+    return RimTerm.measured(
+        index,
+        rim,
+        find_edges(photo, view, rim, reach_px),
+        (view.camera.width, view.camera.height),
+        increments,
+        OUTLINE_SIGMA_PX * scale,
+        0.5,
+    )

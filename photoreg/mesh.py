@@ -124,6 +124,28 @@ class Mesh:
         return index[inverse.ravel()]
 
     @functools.cached_property
+    def is_border_face(self) -> Bool[np.ndarray, "m"]:
+        """Whether a face has an edge that no other face has (seams do not count)."""
+        position = self.position_index
+        # Around a vertex without such an edge every neighbour comes twice, and twice the
+        # same number is 0 under exclusive or: only the rest need be counted edge by
+        # edge. Counting all would take a second a million faces.
+        corners = position[self.faces]
+        number = np.random.default_rng(0).integers(1, 1 << 62, len(position))
+        parity = np.zeros(len(position), dtype=np.int64)
+        for k in range(3):
+            others = number[corners[:, k - 1]] ^ number[corners[:, k - 2]]
+            np.bitwise_xor.at(parity, corners[:, k], others)
+        near = (parity != 0)[corners]
+        rows, sides = np.nonzero(near & np.roll(near, -1, axis=1))
+        ends = np.stack([corners[rows, sides], corners[rows, (sides + 1) % 3]])
+        keys = ends.min(axis=0) * len(position) + ends.max(axis=0)
+        _, index, counts = np.unique(keys, return_inverse=True, return_counts=True)
+        is_border = np.zeros(len(self.faces), dtype=bool)
+        is_border[rows[counts[index.ravel()] == 1]] = True
+        return is_border
+
+    @functools.cached_property
     def vertex_normals(self) -> Float[np.ndarray, "n 3"]:
         """Area-weighted unit normals, smooth across texture seams."""
         corners = self.position_index[self.faces]

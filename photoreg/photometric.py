@@ -19,7 +19,7 @@ from photoreg.kernels_polish import (
 )
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
-from photoreg.polish import Quadratic, overdispersion, own_step
+from photoreg.polish import Quadratic, overdispersion, own_step, scatter
 from photoreg.raster import render_geometry
 
 N_CHUNKS = 32
@@ -319,37 +319,46 @@ class PairTerm:
         )
         return Quadratic(float(costs.sum(axis=0) @ self.weight), gradient, normal)
 
-    def tempered(self, x: Float[np.ndarray, "p"], *, sober: bool = False) -> "PairTerm":
+    def tempered(self, x: Float[np.ndarray, "p"]) -> "PairTerm":
         """The term with each channel weighted by what it knows at ``x``.
 
-        ``sober`` also counts what the channels get wrong together and the numbers that
-        were fitted. That is right for saying how sure the answer is; as weights it
-        trusts outlines more, and where a scan's outline is fat the answer follows it
-        (granite went from 0.7 to 1.4 px).
+        What the channels get wrong together is left to ``scatter``: in the weights it
+        would trust outlines more, and where a scan's outline is fat the answer follows
+        it (granite went from 0.7 to 1.4 px).
         """
-        _, gradients, normals = self._sums(
-            x + own_step(self.linearise(x)), derivatives=True
-        )
-        groups = [self.surface.blocks(side) for side in BLOCK_SIDES]
+        gradients, normals = self._own_scores(x)
         ratios = [
             overdispersion(
                 self.weight[k] * gradients[:, k],
-                self.weight[k] * normals[:, k].sum(axis=0),
-                groups,
+                self.weight[k] * normals[k],
+                self._blocks,
             )
             for k in range(len(self.weight))
         ]
-        weight = self.weight / ratios
-        if not sober:
-            return dataclasses.replace(self, weight=weight)
+        return dataclasses.replace(self, weight=self.weight / ratios)
+
+    def scatter(self, x: Float[np.ndarray, "p"]) -> Float[np.ndarray, "p p"]:
+        """Covariance of the gradient at ``x``, all channels together."""
+        gradients, normals = self._own_scores(x)
+        whole = np.zeros((len(x), len(x)))
         # Where the mesh is wrong, all channels are wrong alike.
-        joint = overdispersion(
-            np.einsum("k,ckp->cp", weight, gradients),
-            np.einsum("k,kij->ij", weight, normals.sum(axis=0)),
-            groups,
-            fitted=True,
+        whole[np.ix_(self._rows, self._rows)] = scatter(
+            np.einsum("k,ckp->cp", self.weight, gradients),
+            np.einsum("k,kij->ij", self.weight, normals),
+            self._blocks,
         )
-        return dataclasses.replace(self, weight=weight / joint)
+        return whole
+
+    def _own_scores(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Gradients (cells, 3, 18) and normals (3, 18, 18) where this term would go."""
+        _, gradients, normals = self._sums(
+            x + own_step(self.linearise(x)), derivatives=True
+        )
+        return gradients, normals.sum(axis=0)
+
+    @property
+    def _blocks(self) -> list[Int[np.ndarray, "cells"]]:
+        return [self.surface.blocks(side) for side in BLOCK_SIDES]
 
     @property
     def _rows(self) -> np.ndarray:

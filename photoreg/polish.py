@@ -172,8 +172,6 @@ def overdispersion(
     scores: Float[np.ndarray, "cells p"],
     normal: Float[np.ndarray, "p p"],
     groupings: Sequence[Int[np.ndarray, "cells"]],
-    *,
-    fitted: bool = False,
 ) -> float:
     """How much less the data knows than its normal matrix says, at least 1.
 
@@ -185,25 +183,57 @@ def overdispersion(
         scores: The gradient's part of each cell, after ``own_step``.
         normal: The term's normal matrix.
         groupings: Group of each cell; the grouping with the largest ratio counts.
-        fitted: Make up for the numbers that ``own_step`` fitted to these scores.
+    """
+    _, ratio = _largest_scatter(scores, normal, groupings, lost=0.0)
+    return ratio
+
+
+def scatter(
+    scores: Float[np.ndarray, "cells p"],
+    normal: Float[np.ndarray, "p p"],
+    groupings: Sequence[Int[np.ndarray, "cells"]],
+) -> Float[np.ndarray, "p p"]:
+    """Covariance of the term's gradient, as its spread over groups of residuals tells.
+
+    The arguments are those of ``overdispersion``; the spread is that of each direction,
+    and never below the normal matrix on the whole. One factor for all directions would
+    not do: of 13 made scenes three ended 1.5 to 1.8 times as far off as expected then,
+    and like this none more than 1.4 times.
 
     References:
         The sandwich estimator over clusters: K.-Y. Liang and S. Zeger, "Longitudinal
-        data analysis using generalized linear models", 1986.
+        data analysis using generalized linear models", 1986, doi:10.1093/biomet/73.1.13.
+    """
+    # The step before fitted so many numbers to the same scores, held by one unit.
+    values = np.maximum(np.linalg.eigvalsh(normal), 0.0)
+    return _largest_scatter(
+        scores, normal, groupings, lost=float((values / (values + 1.0)).sum())
+    )[0]
+
+
+def _largest_scatter(
+    scores: np.ndarray,
+    normal: np.ndarray,
+    groupings: Sequence[np.ndarray],
+    lost: float,
+) -> tuple[np.ndarray, float]:
+    """The scatter over the grouping where it is largest, and how large it is there.
+
+    That is relative to the normal matrix, on average over its directions.
     """
     values, vectors = np.linalg.eigh(normal)
     known = values > 1e-9 * values.max(initial=1e-300)
-    ratio = 1.0
+    largest, ratio = normal, 1.0
     for grouping in groupings:
         _, index = np.unique(grouping, return_inverse=True)
         n = int(index.max(initial=-1)) + 1
-        # The step before fitted so many numbers to the same scores, held by one unit.
-        lost = float((values[known] / (values[known] + 1.0)).sum()) if fitted else 0.0
         if not known.any() or n < max(MIN_GROUPS, 1.5 * lost):
             continue
         sums = np.zeros((n, scores.shape[1]))
         np.add.at(sums, index, scores)
-        along = (sums - sums.mean(axis=0)) @ vectors[:, known]
-        spread = float(np.mean((along**2).sum(axis=0) / values[known]))
-        ratio = max(ratio, spread * n / (n - lost))
-    return ratio
+        sums -= sums.mean(axis=0)
+        along = sums @ vectors[:, known]
+        spread = float(np.mean((along**2).sum(axis=0) / values[known])) * n / (n - lost)
+        if spread > ratio:
+            largest, ratio = sums.T @ sums * (n / (n - lost)), spread
+    return largest, ratio

@@ -22,7 +22,7 @@ from photoreg.kernels_polish import rim_rows
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.photometric import SurfaceView, camera_rays, cell_means
-from photoreg.polish import Quadratic, overdispersion, own_step
+from photoreg.polish import Quadratic, overdispersion, own_step, scatter
 
 CUT = 2.0
 """Scale of the Cauchy cost in residual sigmas."""
@@ -110,30 +110,8 @@ def find_rim(mesh: Mesh, view: SurfaceView, n_points: int) -> Rim:
     points = origins + depth_at[:, None] * directions
     good &= face_at >= 0
     facing = np.einsum("ij,ij->i", mesh.face_normals[face_at], directions) < 0.0
-    good &= facing & ~_at_border(mesh, face_at)
+    good &= facing & ~mesh.is_border_face[face_at]
     return Rim(points[good], pixels[good], normals[good])
-
-
-def _at_border(mesh: Mesh, faces: Int[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
-    """Whether each face has an edge that no other face has (repeated vertices as one)."""
-    # Only the faces around those asked for are looked at: a whole mesh's edges would
-    # take a second a million faces. Vertices at one position are one, as along the
-    # seams of some files.
-    position = mesh.position_index
-    is_near = np.zeros(len(position), dtype=bool)
-    is_near[position[mesh.faces[faces]]] = True
-    touches = is_near[position]
-    a, b, c = (touches[mesh.faces[:, corner]] for corner in range(3))
-    around = np.flatnonzero(a | b | c)
-    vertices = position[mesh.faces[around]]
-    ends = np.stack([vertices, np.roll(vertices, -1, axis=1)], axis=-1)
-    low_end, high_end = ends.min(axis=-1), ends.max(axis=-1)
-    keys = low_end * (vertices.max() + 1) + high_end
-    _, index, counts = np.unique(keys, return_inverse=True, return_counts=True)
-    single = (counts[index.reshape(-1, 3)] == 1).any(axis=1)
-    border = np.zeros(len(mesh.faces), dtype=bool)
-    border[around] = single
-    return border[faces]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -161,11 +139,10 @@ def colour_model(
     makes them more alike.
     """
     bins = 24
-    radius = max(2, round(reach_px))
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1,) * 2)
-    wide = cv2.dilate(covered.astype(np.uint8), kernel) > 0
+    gap = cv2.distanceTransform((~covered).astype(np.uint8), cv2.DIST_L2, 5)
+    around = ~covered & (gap <= max(2, round(reach_px)))
     histograms = []
-    for region in (covered, wide & ~covered):
+    for region in (covered, around):
         values = np.clip(pixels[region] * (bins / 256.0), 0, bins - 1).astype(np.int64)
         flat = (values[:, 0] * bins + values[:, 1]) * bins + values[:, 2]
         counts = np.bincount(flat, minlength=bins**3).reshape(bins, bins, bins)
@@ -332,32 +309,46 @@ class RimTerm:
         normal -= (sums / totals[:, None]).T @ sums
         last = normal[-1, -1] + (self.sigma / self.outline) ** 2
         normal = normal[:-1, :-1] - np.outer(normal[:-1, -1], normal[-1, :-1]) / last
-        own = slice(self.photo * N_INCREMENTS, (self.photo + 1) * N_INCREMENTS)
+        own = self._own
         whole, gradient = np.zeros((len(x), len(x))), np.zeros(len(x))
         whole[own, own] = normal
         gradient[own] = J.T @ (weights * error)
         return Quadratic(cost, gradient, whole)
 
-    def tempered(self, x: Float[np.ndarray, "p"], *, sober: bool = False) -> "RimTerm":
+    def tempered(self, x: Float[np.ndarray, "p"]) -> "RimTerm":
         """The term weighted by what its segments know at ``x``; see ``PairTerm``."""
+        ratio = overdispersion(*self._own_scores(x))
+        return dataclasses.replace(self, weight=self.weight / ratio)
+
+    def scatter(self, x: Float[np.ndarray, "p"]) -> Float[np.ndarray, "p p"]:
+        """Covariance of the gradient at ``x``."""
+        whole = np.zeros((len(x), len(x)))
+        whole[self._own, self._own] = scatter(*self._own_scores(x))
+        return whole
+
+    def _own_scores(
+        self, x: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
+        """Gradients of the segments, normal matrix and groupings where it would go."""
         x = x + own_step(self.linearise(x))
         residual, rows = self._residuals(x)
         weights, error, _ = self._offsets(residual)
         J = -np.einsum("nd,ndp->np", self.rim.normals, rows) / self.sigma
         parts = np.add.reduceat((weights * error)[:, None] * J, self.cell_starts[:-1])
-        own = slice(self.photo * N_INCREMENTS, (self.photo + 1) * N_INCREMENTS)
         index = np.arange(len(parts))
-        ratio = overdispersion(
+        return (
             parts,
-            self.linearise(x).normal[own, own],
+            self.linearise(x).normal[self._own, self._own],
             [index // length for length in BLOCK_LENGTHS],
-            fitted=sober,
         )
-        return dataclasses.replace(self, weight=self.weight / ratio)
+
+    @property
+    def _own(self) -> slice:
+        """The increments of this term's camera."""
+        return slice(self.photo * N_INCREMENTS, (self.photo + 1) * N_INCREMENTS)
 
     def _residuals(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        own = x[self.photo * N_INCREMENTS : (self.photo + 1) * N_INCREMENTS]
-        geometry = self.increments.geometry(own, *self.size)
+        geometry = self.increments.geometry(x[self._own], *self.size)
         pixels, rows = rim_rows(geometry, self.rim.points)
         residual = np.einsum("nd,nd->n", self.rim.normals, self.edges - pixels)
         return residual / self.sigma, rows

@@ -76,9 +76,10 @@ def estimate_uncertainty(
 ) -> Uncertainty:
     """The uncertainty of the cameras of a polish's last step.
 
-    The normal matrix already holds the measured noise, the errors that neighbours
-    share, and the prior, so its inverse is the covariance. What all terms get wrong in
-    the same way (a mesh of another size, say) is not in it.
+    Inverse normal matrix, times the covariance of the gradient, times inverse normal
+    matrix: the errors that neighbours share are in it, and that the polish weighted
+    its terms otherwise than would be best. What all terms get wrong in the same way
+    (a mesh of another size, say) is not in it.
 
     Args:
         mesh: The surface.
@@ -86,7 +87,10 @@ def estimate_uncertainty(
         names: How the photos are called in the words; None: photo 1, photo 2, ...
     """
     along = step.directions
-    free = np.linalg.inv(along.T @ step.normal @ along)
+    if step.scatter is None:
+        raise ValueError("Only the last step of a polish tells how sure it is.")
+    inverse = np.linalg.inv(along.T @ step.normal @ along)
+    free = inverse @ (along.T @ step.scatter @ along) @ inverse
     covariance = along @ free @ along.T
     names = names or tuple(f"photo {i + 1}" for i in range(len(step.cameras)))
     cameras = []

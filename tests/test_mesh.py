@@ -1,3 +1,4 @@
+import collections
 import pickle
 
 import numpy as np
@@ -176,3 +177,30 @@ def test_a_ply_s_colours_and_normals_are_kept(tmp_path):
     mesh = load_mesh(tmp_path / "m.ply")
     np.testing.assert_array_equal(mesh.vertex_colours, colours[:, :3])
     np.testing.assert_allclose(mesh.normals_to_keep, -ball.vertices, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_border_faces_are_those_with_an_edge_of_their_own(seed):
+    rng = np.random.default_rng(seed)
+    whole = trimesh.creation.icosphere(subdivisions=2)
+    faces = whole.faces[rng.random(len(whole.faces)) < 0.9]
+    # A seam is no border: some faces get vertices of their own at the same places.
+    vertices = np.concatenate([whole.vertices, whole.vertices])
+    faces = np.where(rng.random(len(faces))[:, None] < 0.3, faces + 162, faces)
+    edges = collections.Counter(
+        frozenset((face[k] % 162, face[k - 1] % 162))
+        for face in faces
+        for k in range(3)
+    )
+    expected = [
+        any(edges[frozenset((face[k] % 162, face[k - 1] % 162))] == 1 for k in range(3))
+        for face in faces
+    ]
+    assert any(expected)
+    assert not all(expected)
+    assert (Mesh(vertices, faces).is_border_face == expected).all()
+
+
+def test_a_closed_mesh_has_no_border_faces():
+    whole = trimesh.creation.icosphere(subdivisions=1)
+    assert not Mesh(whole.vertices, whole.faces).is_border_face.any()

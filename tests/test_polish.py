@@ -2,7 +2,14 @@
 
 import numpy as np
 
-from photoreg.polish import Damping, Prior, Quadratic, minimise, overdispersion
+from photoreg.polish import (
+    Damping,
+    Prior,
+    Quadratic,
+    minimise,
+    overdispersion,
+    scatter,
+)
 
 
 class Rosenbrock:
@@ -45,17 +52,34 @@ def test_two_priors_meet_at_their_weighted_mean():
     assert abs(last.x[0] - 3.0) < 1e-6, last.x
 
 
-def test_overdispersion_makes_up_for_the_numbers_fitted_to_the_same_residuals():
+def test_scatter_makes_up_for_the_numbers_fitted_to_the_same_residuals():
     rng = np.random.default_rng(1)
-    ratios = []
+    spreads = []
     for _ in range(200):
         J, r = rng.normal(size=(40, 12)), rng.normal(size=40)
         r -= J @ np.linalg.solve(J.T @ J, J.T @ r)
         # Known so well that the unit that holds own_step counts for nothing.
         scores, normal = 1e3 * J * r[:, None], 1e6 * J.T @ J
-        ratios.append(overdispersion(scores, normal, [np.arange(40)], fitted=True))
+        spread = scatter(scores, normal, [np.arange(40)])
+        spreads.append(np.trace(np.linalg.solve(normal, spread)) / 12)
     # At least 1 each, so the mean lies above it; without the correction it is 1.004.
-    assert 1.05 < np.mean(ratios) < 1.3, np.mean(ratios)
+    assert 1.05 < np.mean(spreads) < 1.3, np.mean(spreads)
+
+
+def test_scatter_is_large_along_the_direction_whose_residuals_are_repeated():
+    rng = np.random.default_rng(2)
+    n, times = 2000, 9
+    J = np.zeros((times * n, 2))
+    J[: times * n // 2, 0] = rng.normal(size=times * n // 2)
+    # The second direction's rows come nine times over, with one residual each.
+    J[times * n // 2 :, 1] = np.repeat(rng.normal(size=n // 2), times)
+    r = rng.normal(size=times * n)
+    r[times * n // 2 :] = np.repeat(rng.normal(size=n // 2), times)
+    scores, normal = J * r[:, None], J.T @ J
+    spread = scatter(scores, normal, [np.arange(times * n) // times])
+    ratio = np.diag(spread) / np.diag(normal)
+    assert abs(ratio[0] - 1.0) < 0.2, ratio
+    assert abs(ratio[1] - times) < 1.5, ratio
 
 
 def test_overdispersion_is_one_for_independent_and_m_for_repeated_residuals():
