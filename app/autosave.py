@@ -5,17 +5,20 @@ calls `wait` first: what the page shows as done is on disk.
 """
 
 import dataclasses
+import functools
 import logging
 import threading
 import time
+import types
 import typing
+from collections.abc import Callable
 from typing import Any
 
 from app.run import Run
 from app.run_store import RunStore
 from app.session import Session, Step, setting
 from app.state import Document, State
-from photoreg.errors import PhotoregError
+from photoreg.errors import InputError, OutputError, PhotoregError
 from photoreg.project import Project
 from photoreg.project import Step as StoredStep
 
@@ -28,7 +31,7 @@ RETRY_S = 3.0
 """Time until a write that failed is tried again; a full disk may be emptied."""
 
 PATIENCE_S = 2.0
-"""How long the page waits for a write before it shows a state all the same."""
+"""How long a write is waited for before the page says that it is still going on."""
 
 PASSING = frozenset(
     [
@@ -42,6 +45,10 @@ PASSING = frozenset(
         "note",
         "saving",
         "agreement",
+        "chosen_pair",
+        "solution",
+        "readiness",
+        "speed",
         "undo_name",
         "redo_name",
     ]
@@ -61,7 +68,20 @@ def _types_of(hint: Any, found: dict[Any, None]) -> dict[Any, None]:
     return found
 
 
-DOCUMENT_TYPES = tuple(_types_of(Run, _types_of(Document, {})))
+CHOICES: dict[str, Any] = {
+    name: hint
+    for name, hint in typing.get_type_hints(State).items()
+    if name not in PASSING
+}
+"""The user's choices and their types; new ones are kept without a word here."""
+
+DOCUMENT_TYPES = tuple(
+    functools.reduce(
+        lambda found, hint: _types_of(hint, found),
+        [Document, Run, *CHOICES.values()],
+        {},
+    )
+)
 """What a project may hold besides the engine's own."""
 
 
@@ -70,8 +90,9 @@ class Autosave:
 
     def __init__(self, session: Session, project: Project) -> None:
         self._session = session
-        self._project = project
+        self.project = project
         self._runs = RunStore(project.runs)
+        self._between_writes = threading.Lock()
         self._condition = threading.Condition()
         self._changed = 0
         self._kept = 0
@@ -85,36 +106,50 @@ class Autosave:
             target=self._write_on, daemon=True, name="autosave"
         )
 
-    def take_up(self) -> bool:
-        """Puts what the project holds on screen; False: it is empty.
+    def take_up(self) -> Callable[[], None] | None:
+        """Reads what the project holds.
+
+        Returns:
+            What puts it on screen; None: it is empty.
 
         Raises:
             InputError: if it cannot be read.
         """
-        first, steps, now = self._project.read_history()
+        first, steps, now = self.project.read_history()
         if not steps:
-            return False
+            return None
         self._first = first
         self._written = [Step(step.name, step.document) for step in steps]
         self._written_now = now - first
-        known = {field.name for field in dataclasses.fields(State)} - PASSING
-        choices = self._project.read_setting("choices", {})
-        run = self._project.read_setting("run", Run())
-        runs = self._project.read_setting("runs", ())
+        run = self.project.read_setting("run", Run())
+        runs = self.project.read_setting("runs", ())
         if run.is_active and cut_short(run).status == "review":
             others = (other for other in runs if other.number != run.number)
             runs = (*others, cut_short(run))
-        self._session.restore(
-            self._written,
-            self._written_now,
-            {
-                **{name: value for name, value in choices.items() if name in known},
-                "runs": runs,
-                "kept_search": self._runs.take_up(run, runs),
-            },
-            cut_short(run),
+        try:
+            stored = self.project.read_setting("choices", {})
+        except InputError as error:
+            # They are quickly chosen again; the work must not wait for them.
+            log.warning("Choices of the page were not read: %s", error)
+            stored = {}
+        choices = {
+            name: value
+            for name, value in stored.items()
+            if name in CHOICES and fits(value, CHOICES[name])
+        }
+        choices |= {"runs": runs, "kept_search": self._runs.take_up(run, runs)}
+        return lambda: self._session.restore(
+            self._written, now - first, choices, cut_short(run)
         )
-        return True
+
+    def copy(self, make: Callable[[], Project]) -> "Autosave":
+        """The same for a copy of the project, which ``make`` makes between two writes."""
+        with self._between_writes:
+            copy = Autosave(self._session, make())
+            copy._first, copy._written = self._first, self._written
+            copy._written_now = self._written_now
+            copy._runs = self._runs.copy(copy.project.runs)
+        return copy
 
     def start(self) -> None:
         """Begins to write; what is on screen first."""
@@ -122,24 +157,46 @@ class Autosave:
         self._mark()
         self._thread.start()
 
-    def close(self) -> None:
-        """Writes what is left, and ends."""
-        if self._closed:
-            return
-        self.wait()
-        self._stop_listening()
-        with self._condition:
-            self._closed = True
-            self._condition.notify_all()
-        self._thread.join(timeout=PATIENCE_S)
+    def close(self, then: Callable[[], None] | None = None) -> None:
+        """Writes what is left, and ends.
 
-    def wait(self, timeout_s: float = PATIENCE_S) -> bool:
-        """Waits until all changes so far are on disk; returns whether they are."""
+        Args:
+            then: Puts something else on screen, with no change between the last that is
+                kept and that; None: the program ends.
+
+        Raises:
+            OutputError: if what is left cannot be kept and would be lost by ``then``;
+                nothing has ended.
+        """
+        while not self._closed:
+            self.wait(None)
+            with self._session.lock:
+                with self._condition:
+                    if self._kept < self._changed and not self._failed:
+                        continue
+                    if self._failed and then is not None:
+                        raise OutputError(
+                            f"{self._session.state.saving} Until it is kept, nothing "
+                            "else can be opened; saving as another project helps."
+                        )
+                    self._closed = True
+                    self._condition.notify_all()
+                self._stop_listening()
+                if then is not None:
+                    then()
+        self._thread.join()
+
+    def wait(self, timeout_s: float | None = PATIENCE_S) -> bool:
+        """Waits until all changes so far are on disk; returns whether they are.
+
+        Where they cannot be kept, the state says so, and nobody waits.
+        """
         with self._condition:
             wanted = self._changed
-            return self._condition.wait_for(
-                lambda: self._kept >= wanted or self._failed, timeout_s
-            ) and (self._kept >= wanted)
+            self._condition.wait_for(
+                lambda: self._kept >= wanted or self._failed or self._closed, timeout_s
+            )
+            return self._kept >= wanted
 
     def _listen(self, old: State, new: State) -> None:
         run_goes_on = old.run.is_active and old.run.status == new.run.status
@@ -170,7 +227,8 @@ class Autosave:
                 if self._closed:
                     return
             try:
-                kept = self._write()
+                with self._between_writes:
+                    kept = self._write()
             except PhotoregError as error:
                 self._fail(str(error))
             except Exception:
@@ -182,17 +240,24 @@ class Autosave:
                     self._failed = False
                     self._condition.notify_all()
                 if self._session.state.saving:
-                    self._session.change(None, setting(saving=""))
+                    self._say("")
 
     def _fail(self, sentence: str) -> None:
         if not self._failed:
             log.error("Not kept: %s", sentence)
+        # Said before anybody stops waiting: whoever sees the change sees this too.
+        self._say(sentence)
         with self._condition:
             self._failed = True
             self._condition.notify_all()
-        self._session.change(None, setting(saving=sentence))
-        with self._condition:
             self._condition.wait_for(lambda: self._closed, RETRY_S)
+
+    def _say(self, sentence: str) -> None:
+        try:
+            self._session.change(None, setting(saving=sentence))
+        except Exception:
+            # Somebody who listens has failed; the work is kept all the same.
+            log.exception("A change was not followed")
 
     def _write(self) -> int:
         with self._session.lock:
@@ -211,18 +276,21 @@ class Autosave:
                 same += 1
             after, new = first + same - 1, steps[same:]
         self._run_written_at = time.monotonic()
-        with self._project.writing():
+        with self.project.writing():
             if (
                 new
                 or len(steps) != len(self._written) - (offset or 0)
                 or now != self._written_now - (offset or 0)
             ):
                 stored = [StoredStep(step.name, step.document) for step in new]
-                self._project.write_history(after, stored, first + now)
-            self._project.write_settings(
+                self.project.write_history(after, stored, first + now)
+            self.project.write_settings(
                 {"choices": _choices(state), "run": state.run, "runs": state.runs}
             )
-            self._runs.write(state)
+            runs = self._runs.copy()
+            runs.write(state)
+        # Only what has come to the disk is remembered as written.
+        self._runs = runs
         self._first, self._written, self._written_now = first, steps, now
         return changed
 
@@ -236,13 +304,28 @@ def _same(a: Step, b: Step) -> bool:
 
 
 def _choices(state: State) -> dict[str, Any]:
-    """The user's choices that are plain values; new ones are kept without a word here."""
-    return {
-        field.name: value
-        for field in dataclasses.fields(state)
-        if field.name not in PASSING
-        and isinstance(value := getattr(state, field.name), bool | int | float | str)
-    }
+    return {name: getattr(state, name) for name in CHOICES}
+
+
+def fits(value: object, hint: Any) -> bool:
+    """Whether a stored value is what a field may hold; an older photoreg's may not be."""
+    origin = typing.get_origin(hint)
+    if origin is typing.Literal:
+        return value in typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        return any(fits(value, part) for part in typing.get_args(hint))
+    if origin is tuple:
+        parts = typing.get_args(hint)
+        if not isinstance(value, tuple):
+            return False
+        if parts[-1] is Ellipsis:
+            parts = parts[:1] * len(value)
+        return len(parts) == len(value) and all(map(fits, value, parts))
+    if hint is float:
+        return isinstance(value, float | int) and not isinstance(value, bool)
+    if hint is int:
+        return isinstance(value, int) and not isinstance(value, bool)
+    return isinstance(value, hint)
 
 
 def cut_short(run: Run) -> Run:

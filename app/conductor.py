@@ -37,6 +37,7 @@ from app.messages import (
     Working,
 )
 from app.opening import demo_folder, open_folder
+from app.projects import Projects
 from app.refinement import Refinement, must_be_idle
 from app.session import Session
 from app.showing import (
@@ -61,8 +62,11 @@ Deliver = Callable[[str, bytes], None]
 class Conductor:
     """What the app can do for its user beyond changing a value."""
 
-    def __init__(self, session: Session, warm_up: bool = True) -> None:
+    def __init__(
+        self, session: Session, warm_up: bool = True, projects: Projects | None = None
+    ) -> None:
         self.session = session
+        self.projects = projects if projects is not None else Projects(session)
         self.picture: bytes | None = None
         """The newest overlay, a JPEG file; of a blink the photo whose turn it is."""
         self.drawn: Picture | None = None
@@ -79,7 +83,12 @@ class Conductor:
         self.worker = Worker(self._on_event, warm_up)
         self.refinement = Refinement(session, self.worker, self._send_scene)
         self.solver = Solver(session)
-        self.intake = Intake(session, lambda: must_be_idle(session.state), self._tell)
+        self.intake = Intake(
+            session,
+            lambda: must_be_idle(session.state),
+            self._tell,
+            self.projects.keep_file,
+        )
         session.listen(self._follow)
         self._follow(State(), session.state)
 

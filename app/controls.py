@@ -140,7 +140,7 @@ def confirm(
     yes: str,
     then: Callable[[], None],
 ) -> None:
-    """Asks one browser before something is done."""
+    """Asks one browser before something is done; that may take long."""
     modal = client.gui.add_modal(title)
     with modal:
         client.gui.add_markdown(text)
@@ -148,7 +148,7 @@ def confirm(
         leave_it = client.gui.add_button("Cancel", color="gray")
 
     @do_it.on_click
-    @guarded
+    @guarded_slow
     def _(_: viser.GuiEvent) -> None:
         modal.close()
         then()

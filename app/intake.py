@@ -78,14 +78,14 @@ class Intake:
         session: Session,
         must_be_idle: Callable[[], None],
         on_problem: Callable[[str], None],
+        keep_in_project: Callable[[str, bytes], Path | None] = lambda *_: None,
     ) -> None:
         self._session = session
         self._must_be_idle = must_be_idle
         self._on_problem = on_problem
         self._reader = Reader()
+        self._keep_in_project = keep_in_project
         self._folder = tempfile.TemporaryDirectory(prefix="photoreg-")
-        self.keep_file: Callable[[str, bytes], Path] = self._keep_apart
-        """Where the files go; with a project, into it."""
         self._count = itertools.count(1)
         self._sender: int | None = None
         self._n_expected = 0
@@ -221,12 +221,6 @@ class Intake:
         job = Job(title, fraction, can_stop=True)
         self._session.change(None, setting(job=job))
 
-    def _keep_apart(self, name: str, content: bytes) -> Path:
-        # A folder for each: what comes again keeps its name.
-        folder = Path(self._folder.name) / str(next(self._count))
-        folder.mkdir()
-        return keep_file(folder, name, content)
-
     def _keep(self, name: str, content: bytes) -> Path:
         # Only the last part of the name: a path must not leave the folder.
         plain = plain_name(name)
@@ -236,7 +230,10 @@ class Intake:
                 f"{plain} is not a file photoreg opens: the suffix should be one of "
                 f"{suffixes}."
             )
-        return self.keep_file(plain, content)
+        kept = self._keep_in_project(plain, content)
+        return (
+            keep_file(Path(self._folder.name), plain, content) if kept is None else kept
+        )
 
 
 def _kind(path: Path) -> int:

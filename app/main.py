@@ -50,9 +50,7 @@ def run_app(
     conductor = page = None
     try:
         open_project(projects, files, cameras, project)
-        conductor = Conductor(session)
-        if projects.current is not None and not projects.is_read_only:
-            conductor.intake.keep_file = projects.current.keep_file
+        conductor = Conductor(session, projects=projects)
         page = Page(session, conductor, host, port, shadows)
         if page.port != port and port != 0:
             _say(f"Port {port} is taken, so photoreg uses {page.port}.")
@@ -93,10 +91,8 @@ def open_project(
         projects.open(folder)
         if projects.problems:
             sentences = " ".join(problem.sentence for problem in projects.problems)
-            raise InputError(
-                f"{sentences} Put back what the project was made with, then open it "
-                "again; nothing was changed."
-            )
+            _say(f"{sentences} The page asks what to do.")
+            projects.begin_unkept(Document())
     else:
         document = open_document(files, cameras)
         try:

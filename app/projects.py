@@ -1,49 +1,28 @@
-"""Which project is open: new ones, recent ones, saved under another name. No viser."""
+"""Which project is open: new ones, other ones, saved under another name. No viser."""
 
 import contextlib
-import datetime
-import json
 import logging
-import logging.handlers
-import os
 import shutil
-import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from app.autosave import DOCUMENT_TYPES, Autosave
+from app import shelf
+from app.autosave import DOCUMENT_TYPES, PATIENCE_S, Autosave
+from app.run import Run
 from app.session import Session, setting
-from app.state import Document
-from photoreg.errors import InputError, OutputError, RefinementError
-from photoreg.project import DATABASE, Project
-from photoreg.project_files import FileProblem, plain_name
+from app.state import Document, Job
+from photoreg.errors import InputError, OutputError, PhotoregError, RefinementError
+from photoreg.project import DATABASE, Project, check_is_free
+from photoreg.project_files import FileProblem
 
 log = logging.getLogger(__name__)
 
-MAX_RECENT = 12
-LOG_FILE = "photoreg.log"
-LOG_BYTES, LOG_COPIES = 1 << 20, 3
-
-
-def data_folder() -> Path:
-    """Where projects go that were given no folder: the user's own, by platform.
-
-    The environment variable PHOTOREG_DATA names another.
-    """
-    given = os.environ.get("PHOTOREG_DATA")
-    if given:
-        return Path(given)
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Application Support"
-    else:
-        base = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
-    return Path(base) / "photoreg"
+NOT_KEPT = "Your work is not being kept."
 
 
 class Projects:
-    """The open project and the ways to another one."""
+    """The open project and the ways to another one. Safe to use from any thread."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
@@ -54,7 +33,7 @@ class Projects:
         self.on_change: Callable[[], None] = lambda: None
         self._autosave: Autosave | None = None
         self._log: logging.Handler | None = None
-        self._made_here: Path | None = None
+        self._access = threading.Lock()
 
     # Opening.
 
@@ -69,25 +48,29 @@ class Projects:
             InputError: if the folder holds a project already.
             OutputError: if it cannot be made.
         """
-        self._must_be_idle()
         document = document if document is not None else Document()
-        made_here = folder is None
-        folder = free_folder(document) if folder is None else Path(folder)
-        if (folder / DATABASE).exists():
-            raise InputError(
-                f"{folder} holds a project already. Open it, or choose another folder."
+        with self._changing("Making a project"):
+            is_asked_for = folder is not None
+            if folder is None:
+                remove_untouched()
+                folder = shelf.free_folder(document)
+            if (folder / DATABASE).exists():
+                raise InputError(
+                    f"{folder} holds a project already. Open it, or choose another "
+                    "folder."
+                )
+            project = Project(folder, DOCUMENT_TYPES)
+            if not is_asked_for:
+                with contextlib.suppress(OSError):
+                    (folder / shelf.MADE_HERE).write_text(shelf.MADE_HERE_TEXT)
+            self._take(
+                Autosave(self._session, project), lambda: self._session.begin(document)
             )
-        project = Project(folder, DOCUMENT_TYPES)
-        self._let_go()
-        self._session.begin(document)
-        self._made_here = project.folder if made_here else None
-        self._hold(project, Autosave(self._session, project))
 
     def begin_unkept(self, document: Document) -> None:
         """Begins with a document that is kept nowhere, and says so on the page."""
-        self._let_go()
         self._session.begin(document)
-        self._session.change(None, setting(saving="Your work is not being kept."))
+        self._session.change(None, setting(saving=NOT_KEPT))
 
     def open(self, folder: Path | str) -> None:
         """Opens an existing project, or asks first about files that are not as they were.
@@ -95,199 +78,272 @@ class Projects:
         Raises:
             InputError: if there is none or it cannot be read.
         """
-        self._must_be_idle()
         folder = Path(folder).expanduser().absolute()
         if self.current is not None and folder == self.current.folder:
             raise InputError(f"{folder.name} is open already.")
-        self._drop_pending()
-        project = Project(folder, DOCUMENT_TYPES, create=False)
-        try:
-            problems = project.file_problems()
-            if problems:
-                self.pending, self.problems = project, problems
-                self.on_change()
-                return
-            self._take(project)
-        except BaseException:
-            if self.pending is None:
-                project.close()
-            raise
+        with self._changing(f"Opening {folder.name}"):
+            self._drop_pending()
+            project = Project(folder, DOCUMENT_TYPES, create=False)
+            try:
+                self.problems = project.file_problems()
+                if self.problems:
+                    self.pending = project
+                    return
+                document = _read(project)
+                self._take_up(project)
+                del document
+            finally:
+                if project not in (self.pending, self.current):
+                    project.close()
 
     def locate(self, problem: FileProblem, path: Path | str, changed: bool) -> None:
         """Says where a file of the pending project is now; opens it with the last.
 
+        Other files that are missing are looked for in the same folder.
+
         Args:
             problem: Which of ``problems``.
-            path: Where it is.
+            path: Where it is; a folder: in it, under its old name.
             changed: Take it although its content is another.
 
         Raises:
-            InputError: if that cannot be used.
+            InputError: if that cannot be used; nothing has changed.
         """
-        project = self.pending
-        if project is None:
-            raise InputError("There is no project that waits for this.")
-        if project.read_only:
-            raise OutputError(project.read_only)
-        with project.writing():
-            project.files.use(problem.key, Path(path).expanduser(), changed)
-        self.problems = project.file_problems()
-        if not self.problems:
-            self.pending = None
-            try:
-                self._take(project)
-            except BaseException:
-                self.pending = project
-                self.on_change()
-                raise
-        self.on_change()
+        path = self.found_at(problem, path)
+        project = self._waiting()
+        with self._changing(f"Opening {project.folder.name}"):
+            with project.writing():
+                project.files.use(problem.key, path, changed)
+                for other in project.file_problems():
+                    beside = path.parent / other.path.name
+                    with contextlib.suppress(InputError):
+                        project.files.use(other.key, beside)
+                problems = project.file_problems()
+                document = None if problems else _read(project)
+            self.problems = problems
+            if not problems:
+                self._take_up(project)
+                self.pending = None
+            del document
+
+    def locate_upload(self, problem: FileProblem, name: str, content: bytes) -> Path:
+        """Keeps a file that somebody brings for one that is missing; returns its path."""
+        if not name.lower().endswith(problem.path.suffix.lower()):
+            raise InputError(
+                f"{name} cannot be {problem.path.name}: its suffix is another."
+            )
+        return self._waiting().keep_file(name, content)
+
+    def is_same(self, problem: FileProblem, path: Path | str) -> bool:
+        """Whether a file has the content that the pending project knows.
+
+        Raises:
+            InputError: if it cannot be read.
+        """
+        return self._waiting().files.is_same(problem.key, self.found_at(problem, path))
+
+    def found_at(self, problem: FileProblem, path: Path | str) -> Path:
+        """The file that somebody means by a path: within a folder the one of that name."""
+        path = Path(path).expanduser()
+        if not path.is_absolute():
+            raise InputError("Type the whole path, from the root of the disk.")
+        return path / problem.path.name if path.is_dir() else path
 
     def cancel(self) -> None:
         """Leaves the pending project as it is."""
-        self._drop_pending()
-        self.on_change()
+        with self._changing("Closing"):
+            self._drop_pending()
 
-    def save_as(self, folder: Path | str) -> None:
-        """Copies the project into a new folder and goes on there."""
-        self._must_be_idle()
-        if self.current is None:
-            raise InputError("There is no project to save.")
-        if not str(folder).strip():
-            raise InputError("Name the folder that the project is to be saved in.")
+    def save_as(self, folder: Path | str, gather: bool = False) -> None:
+        """Copies the project into a new folder and goes on there.
+
+        Args:
+            folder: Where it goes.
+            gather: Copy the files into it, too, that lie outside of the project.
+
+        Raises:
+            OutputError: if the folder is not empty or cannot be written.
+        """
         folder = Path(folder).expanduser().absolute()
-        if self._autosave is not None and not self.current.read_only:
-            self._autosave.wait()
-        self.current.save_as(folder)
-        self.open(folder)
+        with self._changing(f"Saving as {folder.name}"):
+            check_is_free(folder)
+            # What could not be kept in the old place is written to the new one.
+            self.wait()
+            old, was_kept = self._autosave, self.current is not None
 
-    def wait(self) -> None:
-        """Waits until what has changed is on disk."""
-        if self._autosave is not None:
-            self._autosave.wait()
+            def copy() -> Project:
+                if self.current is not None:
+                    self.current.save_as(folder)
+                return Project(folder, DOCUMENT_TYPES)
+
+            autosave = (
+                Autosave(self._session, copy()) if old is None else old.copy(copy)
+            )
+            self._take(autosave, None)
+            if gather or not was_kept:
+                # Files that are kept nowhere would go when the program ends.
+                with autosave.project.writing():
+                    autosave.project.files.gather()
+
+    def keep_file(self, name: str, content: bytes) -> Path | None:
+        """Keeps an uploaded file in the open project; None: there is none."""
+        return None if self.current is None else self.current.keep_file(name, content)
+
+    def wait(self, timeout_s: float = PATIENCE_S) -> bool:
+        """Waits until what has changed is on disk; returns whether it soon was.
+
+        What is not kept at all, which the state says, is not waited for.
+        """
+        autosave = self._autosave
+        return (
+            autosave is None
+            or autosave.wait(timeout_s)
+            or bool(self._session.state.saving)
+        )
 
     def close(self) -> None:
         """Keeps what is left and closes the project."""
         self._drop_pending()
-        self._let_go()
-
-    def recent(self) -> list[Path]:
-        """Projects opened lately that are still there, the newest first."""
-        return [folder for folder in _recent() if (folder / DATABASE).exists()]
+        self._let_go(None)
 
     @property
     def is_read_only(self) -> bool:
         """Whether the open project may only be looked at."""
         return self.current is not None and bool(self.current.read_only)
 
-    def _take(self, project: Project) -> None:
+    @contextlib.contextmanager
+    def _changing(self, title: str) -> Iterator[None]:
+        """One change of project at a time, while nothing else goes on, and shown."""
+        if not self._access.acquire(blocking=False):
+            raise RefinementError("Another project is just being opened. Wait for it.")
+        job = Job(title)
+        try:
+            with self._session.lock:
+                state = self._session.state
+                if state.run.is_active or state.job is not None:
+                    raise RefinementError(
+                        "Something is still going on in this project. Stop it or wait "
+                        "for its end, then open another."
+                    )
+                self._session.change(None, setting(job=job))
+            yield
+        finally:
+            if self._session.state.job is job:
+                self._session.change(None, setting(job=None))
+            self._access.release()
+            self.on_change()
+
+    def _take_up(self, project: Project) -> None:
         autosave = Autosave(self._session, project)
-        project.read_history()  # What cannot be read must not cost what is open.
-        self._check_sizes(project)
-        self._let_go()
-        if not autosave.take_up():
-            self._session.begin(Document())
-        self._hold(project, autosave)
+        show = autosave.take_up()
+        self._take(autosave, show or (lambda: self._session.begin(Document())))
 
-    def _check_sizes(self, project: Project) -> None:
-        first, steps, now = project.read_history(n_back=0)
-        if not steps:
-            return
-        for entry in steps[now - first].document.photos:
-            camera, photo = entry.camera, entry.photo
-            if (camera.width, camera.height) != (photo.width, photo.height):
-                raise InputError(
-                    f"{entry.name} is {photo.width}x{photo.height} px now, but was "
-                    f"{camera.width}x{camera.height} px when its camera was placed. "
-                    "Use a file of that size."
-                )
+    def _take(self, autosave: Autosave, show: Callable[[], None] | None) -> None:
+        """Puts a project in place of the open one; None: and keeps what is on screen."""
+        project = autosave.project
 
-    def _hold(self, project: Project, autosave: Autosave) -> None:
-        self.current = project
-        self._session.read_only = project.read_only
-        if project.read_only:
+        def follow() -> None:
+            if show is not None:
+                show()
+            self._session.read_only = project.read_only
             self._session.change(None, setting(saving=project.read_only))
+
+        try:
+            self._let_go(follow, by_copy=show is None)
+            self.current = project
+        finally:
+            if project is not self.current:
+                project.close()
         if not project.read_only:
+            try:
+                project.collect_garbage()
+            except (PhotoregError, ValueError) as error:
+                log.warning("%s was not tidied up: %s", project.folder, error)
             self._autosave = autosave
             autosave.start()
             autosave.wait()
-            self._log = _log_into(project.folder / LOG_FILE)
-        _remember(project.folder)
-        self.on_change()
+            self._log = shelf.log_into(project.folder)
+        shelf.remember(project.folder)
 
-    def _let_go(self) -> None:
+    def _let_go(self, then: Callable[[], None] | None, by_copy: bool = False) -> None:
         if self._autosave is not None:
-            self._autosave.close()
+            # What goes on in a copy is written there, even if it cannot be here.
+            self._autosave.close(None if by_copy else then)
             self._autosave = None
+            if by_copy and then is not None:
+                then()
+        elif then is not None:
+            then()
         if self._log is not None:
             logging.getLogger().removeHandler(self._log)
             self._log.close()
             self._log = None
         project, self.current = self.current, None
         if project is not None:
-            untouched = project.folder == self._made_here and project.is_untouched
-            project.close()
-            if untouched:
-                # Nobody misses a project in which nothing was done.
-                shutil.rmtree(project.folder, ignore_errors=True)
-        self._made_here = None
+            _leave(project)
 
     def _drop_pending(self) -> None:
         if self.pending is not None:
             self.pending.close()
         self.pending, self.problems = None, []
 
-    def _must_be_idle(self) -> None:
-        state = self._session.state
-        if state.run.is_active or state.job is not None:
-            raise RefinementError(
-                "Something is still going on in this project. Stop it or wait for its "
-                "end, then open another."
-            )
+    def _waiting(self) -> Project:
+        if self.pending is None:
+            raise InputError("There is no project that waits for this.")
+        if self.pending.read_only:
+            raise OutputError(self.pending.read_only)
+        return self.pending
 
 
-def free_folder(document: Document) -> Path:
-    """A folder that is not there yet, named after the day and the mesh."""
-    stem = Path(document.mesh.name).stem if document.mesh is not None else "Project"
-    name = plain_name(f"{datetime.date.today().isoformat()} {stem}", "Project")
-    parent = data_folder() / "projects"
-    folder, number = parent / name, 2
-    while folder.exists():
-        folder = parent / f"{name} {number}"
-        number += 1
-    return folder
+def remove_untouched() -> None:
+    """Removes projects that nobody asked for or worked in, left by a program killed."""
+    for mark in sorted(shelf.projects_folder().glob(f"*/{shelf.MADE_HERE}")):
+        try:
+            project = Project(mark.parent, DOCUMENT_TYPES, create=False)
+        except PhotoregError as error:
+            log.warning("%s", error)
+        else:
+            _leave(project)
 
 
-def _log_into(path: Path) -> logging.Handler | None:
-    """Warnings and errors into a file beside the project. No photo content gets there."""
+def _leave(project: Project) -> None:
+    """Closes a project; removes one that nobody asked for and nobody worked in."""
+    mark = project.folder / shelf.MADE_HERE
+    is_ours = mark.exists() and not project.read_only
     try:
-        handler = logging.handlers.RotatingFileHandler(
-            path, maxBytes=LOG_BYTES, backupCount=LOG_COPIES, encoding="utf-8"
-        )
-    except OSError:
+        untouched = is_ours and _is_untouched(project)
+    except PhotoregError:
+        untouched = False
+    project.close()
+    if untouched:
+        shutil.rmtree(project.folder, ignore_errors=True)
+    elif is_ours:
+        with contextlib.suppress(OSError):
+            mark.unlink()
+
+
+def _is_untouched(project: Project) -> bool:
+    runs = project.read_setting("runs", ())
+    run = project.read_setting("run", Run())
+    return project.is_untouched and not runs and run.status == "idle"
+
+
+def _read(project: Project) -> Document | None:
+    """The document in force; while somebody holds it, it is not read again.
+
+    Raises:
+        InputError: if a photo is not of the size of its camera any more.
+    """
+    first, steps, now = project.read_history(n_back=0)
+    if not steps:
         return None
-    handler.setLevel(logging.WARNING)
-    handler.setFormatter(
-        logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s")
-    )
-    logging.getLogger().addHandler(handler)
-    return handler
-
-
-def _recent() -> list[Path]:
-    try:
-        listed = json.loads((data_folder() / "recent.json").read_text("utf-8"))
-        return [Path(path) for path in listed if isinstance(path, str)]
-    except (OSError, ValueError, TypeError):
-        return []
-
-
-def _remember(folder: Path) -> None:
-    paths = [folder, *(path for path in _recent() if path != folder)]
-    target = data_folder() / "recent.json"
-    with contextlib.suppress(OSError):
-        target.parent.mkdir(parents=True, exist_ok=True)
-        partial = target.with_suffix(".part")
-        partial.write_text(
-            json.dumps([str(path) for path in paths[:MAX_RECENT]], indent=1), "utf-8"
-        )
-        partial.replace(target)
+    document = steps[now - first].document
+    for entry in document.photos:
+        camera, photo = entry.camera, entry.photo
+        if (camera.width, camera.height) != (photo.width, photo.height):
+            raise InputError(
+                f"{entry.name} is {photo.width}x{photo.height} px now, but was "
+                f"{camera.width}x{camera.height} px when its camera was placed. "
+                "Use a file of that size."
+            )
+    return document

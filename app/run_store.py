@@ -1,5 +1,7 @@
 """Keeps each run in the project as it goes, so that it can go on after any end."""
 
+import copy
+
 from app.run import KeptSearch, Run
 from app.state import State
 from photoreg.project_runs import Generation, ProjectRuns
@@ -17,6 +19,12 @@ class RunStore:
         self._id = self._number = 0
         self._step = -1
         self._written: KeptSearch | None = None
+
+    def copy(self, runs: ProjectRuns | None = None) -> "RunStore":
+        """The same, to write on with; ``runs``: those of a copy of the project."""
+        other = copy.copy(self)
+        other._runs = runs or self._runs
+        return other
 
     def take_up(self, run: Run, ended: tuple[Run, ...]) -> KeptSearch | None:
         """From where the last run can go on, if it was cut short.

@@ -35,6 +35,7 @@ from app.panel_data import DataPanel
 from app.panel_export import ExportPanel
 from app.panel_overlay import OverlayPanel
 from app.panel_points import PointsPanel
+from app.panel_project import ProjectPanel
 from app.panel_refine import RefinePanel
 from app.panel_view import ViewPanel
 from app.pictures import ROOT, Pictures
@@ -68,6 +69,7 @@ class Page:
     ) -> None:
         self.session = session
         self.conductor = conductor
+        self.projects = conductor.projects
         self.pictures = Pictures()
         self.server = start_viser(host, port, self.pictures)
         self._dark: bool | None = None
@@ -84,7 +86,7 @@ class Page:
         self.scene.gizmos.on_pull(self._on_gizmo)
         self._build()
         session.listen(lambda *_: self._wake.set())
-        conductor.on_picture = self._wake.set
+        conductor.on_picture = self.projects.on_change = self._wake.set
         conductor.on_problem = self._tell_everybody
         self.server.on_client_connect(self._on_connect)
         self.server.on_client_disconnect(self._on_disconnect)
@@ -122,6 +124,7 @@ class Page:
         self._travel = Tools(gui, bus, "", (), self._on_travel)
         tabs = gui.add_tab_group()
         with tabs.add_tab("1 Data"):
+            project = ProjectPanel(gui, self.conductor)
             data = DataPanel(gui, self.conductor, bus)
         with tabs.add_tab("2 Align") as self._align_tab:
             align = AlignPanel(gui, self.conductor, bus)
@@ -136,7 +139,7 @@ class Page:
             points = PointsPanel(gui, self.conductor, bus, self.pictures)
         left.dock_left()
         left.set_width(350)
-        self._panels = (data, align, refine, export, overlay, points)
+        self._panels = (project, data, align, refine, export, overlay, points)
 
         @guarded
         def clicked(event: viser.SceneClickEvent) -> None:
@@ -219,6 +222,10 @@ class Page:
 
     def _paint(self) -> None:
         state = self.session.state
+        # What is shown as done is on disk; a write that takes long is said to go on.
+        is_kept = self.projects.wait()
+        if not is_kept:
+            self._wake.set()
         with self.server.atomic():
             if state.dark != self._dark:
                 self._dark = state.dark
@@ -227,7 +234,7 @@ class Page:
             drawn = self.conductor.drawn
             self.scene.show(state, None if drawn is None else drawn.lines)
             self.scene.show_surface(self.conductor.surface_glb)
-            put(self._status, "content", status_line(state))
+            put(self._status, "content", status_line(state, is_kept))
             put(self._meter, "content", meter_html(state))
             self._travel.show(travel_tools(state))
             for panel in self._panels:
@@ -256,6 +263,7 @@ class Page:
             panel = ViewPanel(viewport, self.conductor, self._bus, self._view_order)
         self._viewports[client.client_id] = viewport
         self._view_panels[client.client_id] = panel
+        self.projects.wait()
         viewport.show(self.session.state)
         panel.show(self.session.state)
 
@@ -314,12 +322,14 @@ def travel_tools(state: State) -> list[Tool]:
     return [*tools, Tool("help", "Keys and mouse (?)", viser.Icon.KEYBOARD)]
 
 
-def status_line(state: State) -> str:
+def status_line(state: State, is_kept: bool = True) -> str:
     """What is going on, in one line that is always on screen; what may end it, too."""
     run, job = state.run, state.job
     tail = ""
     if state.saving:
         colour, text = "#e5484d", state.saving
+    elif not is_kept:
+        colour, text = "#e8a33d", "Keeping your work …"
     elif job is not None:
         colour, text = "#e8a33d", f"{job.title} …"
         tail = _job_html(job)

@@ -4,6 +4,7 @@ No viser and no engine here; everything on screen is made from the state, and ev
 click changes the state and nothing else.
 """
 
+import contextlib
 import dataclasses
 import itertools
 import threading
@@ -186,8 +187,10 @@ class Session:
             undo_name=self._past[-1][0] if self._past else None,
             redo_name=self._future[-1][0] if self._future else None,
         )
-        for listener in tuple(self._listeners):
-            listener(old, self._state)
+        # All hear of it, and what one of them raises reaches whoever made the change.
+        with contextlib.ExitStack() as in_order:
+            for listener in reversed(self._listeners):
+                in_order.callback(listener, old, self._state)
 
 
 def setting(**values: Any) -> Change:

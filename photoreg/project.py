@@ -25,6 +25,7 @@ from photoreg.project_files import (
     FileProblem,
     FolderLock,
     ProjectFiles,
+    is_on_network,
     keep_file,
 )
 from photoreg.project_runs import ProjectRuns
@@ -122,7 +123,9 @@ class Project:
             connection.execute("PRAGMA trusted_schema = OFF")
             connection.execute("PRAGMA foreign_keys = ON")
             if not self.read_only:
-                connection.execute("PRAGMA journal_mode = WAL")
+                # The WAL's index is shared memory, which does not work between machines.
+                mode = "DELETE" if is_on_network(self.folder) else "WAL"
+                connection.execute(f"PRAGMA journal_mode = {mode}")
                 # Each commit reaches the disk: killed at any moment, or cut from
                 # power, the last state that was reported as kept is there.
                 connection.execute("PRAGMA synchronous = FULL")
@@ -327,12 +330,8 @@ class Project:
             OutputError: if the folder is not empty or cannot be written.
         """
         folder = Path(folder).absolute()
+        check_is_free(folder)
         try:
-            if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-                raise OutputError(
-                    f"{folder} is not an empty folder. Choose a new one, so that "
-                    "nothing is overwritten."
-                )
             folder.mkdir(parents=True, exist_ok=True)
             if (self.folder / KEPT).is_dir():
                 shutil.copytree(self.folder / KEPT, folder / KEPT)
@@ -342,7 +341,11 @@ class Project:
             raise OutputError(f"Cannot save as {folder}: {error}.") from error
 
     def collect_garbage(self) -> int:
-        """Removes parts that no step, setting or run needs; returns how many."""
+        """Removes parts and uploads that no step, setting or run needs.
+
+        Returns:
+            How many parts.
+        """
         with self.writing():
             texts = self._connection.execute(
                 "SELECT document FROM steps UNION ALL SELECT value FROM settings "
@@ -350,12 +353,25 @@ class Project:
                 "UNION ALL SELECT cameras FROM checkpoints"
             )
             needed: set[str] = set()
+            files: set[str] = set()
             for (text,) in texts.fetchall():
                 if text is not None:
-                    needed |= self._values.needs(text)[0]
+                    self._values.add_needs(text, needed, files)
             rows = self._connection.execute("SELECT hash FROM parts").fetchall()
             unused = [row for row in rows if row[0] not in needed]
             self._connection.executemany("DELETE FROM parts WHERE hash = ?", unused)
+            self.files.forget(files)
             # The cache may name what has gone.
             self._values.forget()
-            return len(unused)
+        with self._access:
+            self.files.sweep()
+        return len(unused)
+
+
+def check_is_free(folder: Path) -> None:
+    """Raises OutputError unless nothing would be overwritten in ``folder``."""
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise OutputError(
+            f"{folder} is not an empty folder. Choose a new one, so that nothing is "
+            "overwritten."
+        )

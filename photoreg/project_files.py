@@ -45,14 +45,19 @@ class ProjectFiles:
         self._folder = folder.absolute()
 
     def add(self, source: SourceFile) -> str:
-        """Remembers a file; returns its key. A known one stays where it was found."""
-        path = source.path
-        with contextlib.suppress(ValueError):
-            path = path.relative_to(self._folder)
+        """Remembers a file; returns its key.
+
+        A known one stays where it was found, but for a copy in the project itself.
+        """
         self._connection.execute(
             "INSERT OR IGNORE INTO files VALUES (?, ?, ?, ?)",
-            (source.sha256, path.as_posix(), source.sha256, source.size),
+            (source.sha256, self._stored_path(source.path), source.sha256, source.size),
         )
+        if self._is_kept(source.path):
+            self._connection.execute(
+                "UPDATE files SET path = ? WHERE key = ? AND sha256 = key",
+                (self._stored_path(source.path), source.sha256),
+            )
         return source.sha256
 
     def find(self, key: str) -> SourceFile:
@@ -85,6 +90,14 @@ class ProjectFiles:
         rows = self._connection.execute("SELECT key FROM files ORDER BY path")
         return [row[0] for row in rows]
 
+    def is_same(self, key: str, path: Path) -> bool:
+        """Whether what is at ``path`` is what the file of a key was.
+
+        Raises:
+            InputError: if it cannot be read.
+        """
+        return _fingerprint(path).sha256 == self.find(key).sha256
+
     def use(self, key: str, path: Path, even_changed: bool = False) -> None:
         """Takes ``path`` as the file of a key from now on.
 
@@ -96,25 +109,67 @@ class ProjectFiles:
         Raises:
             InputError: if it cannot be read, or is another and that was not allowed.
         """
-        try:
-            now = source_file(path)
-        except OSError as error:
-            raise InputError(
-                f"{path} cannot be read: {error.strerror or error}. Check the path."
-            ) from error
-        known = self.find(key)
+        now, known = _fingerprint(path), self.find(key)
         if now.sha256 != known.sha256 and not even_changed:
             raise InputError(
                 f"{path} is not the same file as {known.path.name} was: its content "
                 "differs. To use it all the same, choose the changed file."
             )
-        kept = now.path
-        with contextlib.suppress(ValueError):
-            kept = kept.relative_to(self._folder)
         self._connection.execute(
             "UPDATE files SET path = ?, sha256 = ?, size = ? WHERE key = ?",
-            (kept.as_posix(), now.sha256, now.size, key),
+            (self._stored_path(now.path), now.sha256, now.size, key),
         )
+
+    def forget(self, needed: set[str]) -> None:
+        """Forgets all files but those of the keys ``needed``."""
+        self._connection.executemany(
+            "DELETE FROM files WHERE key = ?",
+            [(key,) for key in self.keys() if key not in needed],
+        )
+
+    def sweep(self) -> None:
+        """Removes uploads that are not among the files; what lies elsewhere stays."""
+        kept = self._folder / KEPT
+        used = {self.find(key).path for key in self.keys()}
+        for path in sorted(kept.rglob("*"), reverse=True):
+            with contextlib.suppress(OSError):
+                if path.is_dir():
+                    path.rmdir()  # Only where nothing is left in it.
+                elif path not in used:
+                    path.unlink()
+
+    def gather(self) -> None:
+        """Copies all files into the project, so that it can be taken along.
+
+        Raises:
+            InputError: if one is missing or has changed; none is copied then.
+            OutputError: if they cannot be written.
+        """
+        away = [key for key in self.keys() if not self._is_kept(self.find(key).path)]
+        for key in away:
+            problem = self.problem(key)
+            if problem is not None:
+                raise InputError(f"{problem.sentence} So no copy of it can be made.")
+        for key in away:
+            path = self.find(key).path
+            self.use(key, keep_file(self._folder / KEPT, path.name, path.read_bytes()))
+
+    def _is_kept(self, path: Path) -> bool:
+        return path.is_relative_to(self._folder / KEPT)
+
+    def _stored_path(self, path: Path) -> str:
+        with contextlib.suppress(ValueError):
+            path = path.relative_to(self._folder)
+        return path.as_posix()
+
+
+def _fingerprint(path: Path) -> SourceFile:
+    try:
+        return source_file(path)
+    except OSError as error:
+        raise InputError(
+            f"{path} cannot be read: {error.strerror or error}. Check the path."
+        ) from error
 
 
 def plain_name(name: str, fallback: str = "file") -> str:
@@ -136,7 +191,10 @@ def plain_name(name: str, fallback: str = "file") -> str:
 
 
 def keep_file(folder: Path, name: str, content: bytes) -> Path:
-    """Writes a file under its own name, or a numbered one if that is taken.
+    """Writes a file under its own name; photos are told by it.
+
+    If another one has that name already, it goes into a numbered folder beside it; what
+    is there with the same content is not written again.
 
     Raises:
         OutputError: if it cannot be written.
@@ -146,8 +204,11 @@ def keep_file(folder: Path, name: str, content: bytes) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
         path, number = folder / plain, 2
         while path.exists():
-            path = folder / f"{plain.stem}-{number}{plain.suffix}"
+            if path.is_file() and path.read_bytes() == content:
+                return path
+            path = folder / str(number) / plain
             number += 1
+        path.parent.mkdir(exist_ok=True)
         partial = path.with_name(path.name + ".part")
         with partial.open("wb") as file:
             file.write(content)
@@ -215,3 +276,36 @@ else:
         except OSError:
             return False
         return True
+
+
+NETWORK_FILE_SYSTEMS = """
+9p afpfs afs beegfs ceph cifs coda davfs fuse.ceph fuse.davfs2 fuse.glusterfs fuse.rclone
+fuse.s3fs fuse.smbnetfs fuse.sshfs gfs2 glusterfs lustre ncpfs nfs nfs4 ocfs2 panfs smb2
+smb3 smbfs vboxsf
+"""
+
+
+def is_on_network(folder: Path, mounts: Path = Path("/proc/self/mountinfo")) -> bool:
+    """Whether other machines may have the folder too, as far as the system tells.
+
+    Args:
+        folder: The folder.
+        mounts: Linux's list of what is mounted where.
+    """
+    resolved = folder.resolve()
+    if sys.platform == "win32":
+        import ctypes  # noqa: PLC0415
+
+        remote = ctypes.windll.kernel32.GetDriveTypeW(resolved.anchor) == 4
+        return remote or resolved.anchor.startswith("\\\\")
+    try:
+        lines = mounts.read_text("utf-8", "replace").splitlines()
+    except OSError:
+        return False
+    kind, longest = "", -1
+    for line in lines:
+        before, _, after = line.partition(" - ")
+        place = before.split()[4].encode().decode("unicode_escape")
+        if resolved.is_relative_to(place) and len(place) >= longest:
+            kind, longest = after.split()[0], len(place)
+    return kind in NETWORK_FILE_SYSTEMS.split()

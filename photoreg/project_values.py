@@ -99,13 +99,18 @@ class Values:
     def forget(self) -> None:
         """Drops what is remembered of values, after the transaction they were in failed."""
         self._encoded.clear()
+        self._decoded.clear()
 
     def needs(self, text: str) -> tuple[set[str], set[str]]:
         """The hashes of all parts, and the keys of all files, that a text needs."""
         parts: set[str] = set()
         files: set[str] = set()
-        self._collect(json.loads(text), parts, files)
+        self.add_needs(text, parts, files)
         return parts, files
+
+    def add_needs(self, text: str, parts: set[str], files: set[str]) -> None:
+        """Adds what a text needs; what is in ``parts`` already is not followed again."""
+        self._collect(json.loads(text), parts, files)
 
     # Writing.
 

@@ -264,8 +264,10 @@ def test_kept_files_move_with_the_project_and_names_cannot_leave_it(project, fil
     content = (files / "toy-0.png").read_bytes()
     path = project.keep_file("../../etc/pass'wd ä.png", content)
     assert path == project.folder / "files" / "pass'wd ä.png"
-    again = project.keep_file("pass'wd ä.png", content)
-    assert again.name == "pass'wd ä-2.png"
+    assert project.keep_file("pass'wd ä.png", content) == path, "it is there already"
+    other = project.keep_file("pass'wd ä.png", content + b"more")
+    assert other == project.folder / "files" / "2" / path.name, "it keeps its name"
+    assert path.read_bytes() == content
     project.write_settings({"photo": load_photo(path)})
     project.close()
     moved_to = project.folder.with_name("renamed")

@@ -6,6 +6,7 @@ import signal
 import cv2
 import pytest
 
+from app.opening import open_files
 from app.session import with_document
 from app.state import Document, same_camera
 from photoreg.formats.cameras_json import CameraFile, dump_cameras
@@ -136,3 +137,42 @@ def test_a_reader_that_dies_is_told_and_changes_nothing(running, files):
     app.driver.page.get_by_text("Reading was cut short").wait_for()
     wait_until(lambda: app.state.job is None, "nothing is going on any more", 20)
     assert app.state.document is before
+
+
+def test_projects_are_made_and_opened_and_a_moved_file_is_asked_for(
+    running, files, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("PHOTOREG_DATA", str(tmp_path / "data"))
+    app, page, projects = running, running.driver.page, running.conductor.projects
+    for name in ("rock.obj", "a.png"):
+        (tmp_path / name).write_bytes(files[name])
+    app.driver.tab("1 Data")
+    page.get_by_text("Project: not kept").click()
+    app.driver.click("New project")
+    page.get_by_role("dialog").get_by_role("textbox").fill(
+        str(tmp_path / "Bronze head")
+    )
+    app.driver.click("Make it")
+    page.get_by_text("Project: Bronze head").wait_for()
+    opened = open_files([tmp_path / "rock.obj", tmp_path / "a.png"])
+    app.session.change("Open", with_document(**vars(opened)))
+    app.driver.click("New project")
+    page.get_by_role("dialog").get_by_role("textbox").fill("Marble")
+    app.driver.click("Make it")
+    page.get_by_text("Project: Marble").wait_for()
+    assert app.state.document.mesh is None
+    assert projects.current.folder == tmp_path / "data" / "projects" / "Marble"
+
+    (tmp_path / "rock.obj").rename(tmp_path / "away.obj")
+    app.driver.click("Open a project")
+    app.driver.click("Bronze head")
+    page.get_by_text("Before Bronze head opens").wait_for()
+    page.get_by_role("textbox").fill(str(tmp_path / "away.obj"))
+    app.driver.click("Look there")
+    page.get_by_text("Project: Bronze head").wait_for()
+    app.driver.page.get_by_role("button", name="Undo: Open").wait_for()
+    mesh = app.state.document.mesh
+    assert mesh is not None
+    assert mesh.source.path == tmp_path / "away.obj"
+    assert names(app) == ["a.png"]
+    projects.close()

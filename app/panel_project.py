@@ -1,0 +1,237 @@
+"""The project in the Data tab: its name and place, new, open, save as, files to find."""
+
+import html
+from collections.abc import Callable
+
+import viser
+
+from app import shelf
+from app.conductor import Conductor
+from app.controls import confirm, guarded, guarded_slow, put
+from app.projects import NOT_KEPT
+from app.state import State
+from app.widgets import help_line
+from photoreg.errors import InputError
+from photoreg.project_files import FileProblem
+
+MAX_SHOWN = 6
+"""How many of the projects opened lately are offered."""
+
+
+class ProjectPanel:
+    """Where the work is kept, and the ways to another project."""
+
+    def __init__(self, gui: viser.GuiApi, conductor: Conductor) -> None:
+        self._projects = conductor.projects
+        # A folder without a heading: viser shows an upload button whatever it is told.
+        with gui.add_folder(None, visible=False) as self._asking:
+            self._question = gui.add_html("")
+            self._path = gui.add_text("It is now at", "")
+            self._look = gui.add_button("Look there", icon=viser.Icon.SEARCH)
+            self._upload = gui.add_upload_button(
+                "Bring it from this computer", icon=viser.Icon.UPLOAD
+            )
+            self._change = gui.add_button(
+                "Use the changed file", icon=viser.Icon.FILE_ALERT
+            )
+            self._leave = gui.add_button("Leave this project closed", color="gray")
+        with gui.add_folder("Project", expand_by_default=False) as self._folder:
+            self._facts = gui.add_html("")
+            self._new = gui.add_button(
+                "New project", icon=viser.Icon.FILE_PLUS, color="gray"
+            )
+            self._open = gui.add_button(
+                "Open a project", icon=viser.Icon.FOLDER_OPEN, color="gray"
+            )
+            self._save = gui.add_button("Save as", icon=viser.Icon.COPY, color="gray")
+
+        self._new.on_click(guarded(lambda event: self._ask_new(event.client)))
+        self._open.on_click(guarded(lambda event: self._ask_open(event.client)))
+        self._save.on_click(guarded(lambda event: self._ask_save(event.client)))
+        self._leave.on_click(guarded_slow(lambda _: self._projects.cancel()))
+
+        @self._look.on_click
+        @guarded_slow
+        def _(event: viser.GuiEvent) -> None:
+            assert event.client is not None
+            self._locate(event.client, self._problem(), self._path.value.strip())
+
+        @self._change.on_click
+        @guarded_slow
+        def _(_: viser.GuiEvent) -> None:
+            problem = self._problem()
+            self._projects.locate(problem, problem.path, changed=True)
+
+        @self._upload.on_upload
+        @guarded_slow
+        def _(event: viser.GuiEvent) -> None:
+            assert event.client is not None
+            file, problem = event.target.value, self._problem()
+            path = self._projects.locate_upload(problem, file.name, file.content)
+            self._locate(event.client, problem, str(path))
+
+    # What is asked for.
+
+    def _ask_new(self, client: viser.ClientHandle) -> None:
+        modal = client.gui.add_modal("New project")
+        with modal:
+            name = client.gui.add_text("Name", "")
+            client.gui.add_html(
+                help_line(
+                    "A name, or the whole path of a new folder; empty: named after the "
+                    "day. The project that is open now stays as it is."
+                )
+            )
+
+            def make() -> None:
+                text = name.value.strip()
+                self._projects.new(folder=shelf.folder_named(text) if text else None)
+
+            _buttons(client, modal.close, "Make it", make)
+
+    def _ask_open(self, client: viser.ClientHandle) -> None:
+        current = self._projects.current
+        folders = [
+            folder
+            for folder in shelf.recent()
+            if current is None or folder != current.folder
+        ]
+        modal = client.gui.add_modal("Open a project")
+        with modal:
+            for folder in folders[:MAX_SHOWN]:
+                button = client.gui.add_button(
+                    folder.name, icon=viser.Icon.FOLDER_OPEN, color="gray"
+                )
+                client.gui.add_html(help_line(html.escape(str(folder))))
+                _closing(
+                    button,
+                    modal.close,
+                    lambda folder=folder: self._projects.open(folder),
+                )
+            name = client.gui.add_text("Or another", "")
+            client.gui.add_html(
+                help_line(
+                    "Its name, or the whole path of its folder. What is open now is "
+                    "kept already."
+                )
+            )
+            _buttons(
+                client,
+                modal.close,
+                "Open it",
+                lambda: self._projects.open(shelf.folder_named(name.value)),
+            )
+
+    def _ask_save(self, client: viser.ClientHandle) -> None:
+        modal = client.gui.add_modal("Save as")
+        with modal:
+            name = client.gui.add_text("Name", "")
+            client.gui.add_html(
+                help_line(
+                    "A name, or the whole path of a new folder. The work goes on in the "
+                    "copy; the project as it is now stays."
+                )
+            )
+            gather = client.gui.add_checkbox("With copies of all files", False)
+            client.gui.add_html(
+                help_line("To take it along: it then needs nothing outside its folder.")
+            )
+            _buttons(
+                client,
+                modal.close,
+                "Save",
+                lambda: self._projects.save_as(
+                    shelf.folder_named(name.value), gather.value
+                ),
+            )
+
+    def _problem(self) -> FileProblem:
+        problems = self._projects.problems
+        if not problems:
+            raise InputError("No file is being looked for any more.")
+        return problems[0]
+
+    def _locate(
+        self, client: viser.ClientHandle, problem: FileProblem, path: str
+    ) -> None:
+        if self._projects.is_same(problem, path):
+            self._projects.locate(problem, path, changed=False)
+            return
+        confirm(
+            client,
+            "Another content",
+            f"{path} is not the same as {problem.path.name} was when it was last used. "
+            "The cameras were placed on what it was, and may not fit.",
+            "Use it all the same",
+            lambda: self._projects.locate(problem, path, changed=True),
+        )
+
+    # What is shown.
+
+    def show(self, state: State) -> None:
+        """Makes the panel as the projects are."""
+        self._show_question()
+        project = self._projects.current
+        busy = state.run.is_active or state.job is not None
+        for button in (self._new, self._open, self._save):
+            put(button, "disabled", busy)
+        if project is None:
+            name, facts = "not kept", html.escape(state.saving or NOT_KEPT)
+        else:
+            name = project.folder.name
+            facts = f"In {html.escape(str(project.folder))}.<br>" + (
+                html.escape(project.read_only)
+                or "Everything is kept as you work, undo included."
+            )
+        put(self._folder, "label", f"Project: {name}")
+        put(self._facts, "content", help_line(f'<div style="height:4px"></div>{facts}'))
+
+    def _show_question(self) -> None:
+        pending, problems = self._projects.pending, self._projects.problems
+        put(self._asking, "visible", pending is not None and bool(problems))
+        if pending is not None and problems:
+            put(self._question, "content", _question(pending.folder.name, problems))
+            put(self._change, "visible", problems[0].kind == "changed")
+
+
+def _question(name: str, problems: list[FileProblem]) -> str:
+    problem = problems[0]
+    count = f" ({len(problems)} files to find)" if len(problems) > 1 else ""
+    what = {
+        "missing": "Type where it is now, or its folder; what else is missing is looked "
+        "for there too.",
+        "changed": "Use it as it is now, or say where the one is that it was.",
+    }[problem.kind]
+    return (
+        '<div style="margin:10px 12px 8px;padding:10px 12px;border-radius:6px;'
+        "background:rgba(232,163,61,.16);border-left:3px solid #e8a33d;font-size:13px;"
+        'line-height:1.4;overflow-wrap:anywhere"><b>Before '
+        f"{html.escape(name)} opens{count}</b><br>{html.escape(problem.sentence)} {what}"
+        "</div>"
+    )
+
+
+def _buttons(
+    client: viser.ClientHandle,
+    close: Callable[[], None],
+    yes: str,
+    then: Callable[[], None],
+) -> None:
+    do_it = client.gui.add_button(yes)
+    leave = client.gui.add_button("Cancel", color="gray")
+    _closing(do_it, close, then)
+    _closing(leave, close, lambda: None)
+
+
+def _closing(
+    button: viser.GuiButtonHandle,
+    close: Callable[[], None],
+    then: Callable[[], None],
+) -> None:
+    """Has a button of a question close it, and then do something that may take long."""
+
+    @button.on_click
+    @guarded_slow
+    def _(_: viser.GuiEvent) -> None:
+        close()
+        then()
