@@ -6,7 +6,7 @@ BIN := .venv/bin
 DATA ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-slow test-interop check format bench screenshots clean
+.PHONY: help run test test-slow test-interop crash load check format bench screenshots clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -25,6 +25,9 @@ test-slow: .venv/.stamp-dev ## Run the tests marked slow (minutes)
 
 test-interop: .venv/.stamp-interop ## Let COLMAP, MeshLab, Open3D and Blender read our files
 	PHOTOREG_BLENDER=.venv/blender/bin/python .venv/interop/bin/pytest -m slow -p no:dash tests/interop
+
+crash: .venv/.stamp-dev ## Kill server and worker 200 times at random moments and look for what is lost (15 minutes); ARGS="--kills 20"
+	$(BIN)/python -m tests.crash $(ARGS)
 
 check: .venv/.stamp-dev ## Lint, formatting, types, import layers
 	$(BIN)/ruff check .
