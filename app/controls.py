@@ -3,6 +3,7 @@
 import functools
 import logging
 import threading
+import time
 from collections.abc import Callable, Coroutine
 from typing import Any
 
@@ -15,6 +16,11 @@ log = logging.getLogger(__name__)
 BRAND = (38, 166, 154)
 MESSAGE_SECONDS = 9.0
 TYPING_REST_S = 1.0
+
+UNFORESEEN = (
+    "Something failed that photoreg did not foresee. Your work is as it was before; "
+    "photoreg.log in the project's folder has the details."
+)
 
 
 def put(handle: Any, field: str, value: Any) -> None:
@@ -55,20 +61,54 @@ def guarded_slow(callback: Callable[[Any], None]) -> Callable[[Any], None]:
     return run
 
 
+def guarded_client(
+    callback: Callable[[viser.ClientHandle], None],
+) -> Callable[[viser.ClientHandle], None]:
+    """The same for what is done as a browser comes or goes."""
+
+    @functools.wraps(callback)
+    def run(client: viser.ClientHandle) -> None:
+        _try(callback, client, client)
+
+    return run
+
+
 def _call(callback: Callable[[Any], None], event: Any) -> None:
-    if event.client is None:
-        return
+    if event.client is not None:
+        _try(callback, event, event.client)
+
+
+def _try(
+    callback: Callable[[Any], None], argument: Any, client: viser.ClientHandle
+) -> None:
     try:
-        callback(event)
-    except PhotoregError as error:
-        notify(event.client, "That is not possible", str(error))
-    except Exception:
-        log.exception("%s failed", callback.__qualname__)
-        notify(
-            event.client,
-            "That did not work",
-            "An error nobody foresaw; the terminal has the details.",
-        )
+        callback(argument)
+    except Exception as error:  # noqa: BLE001 - nothing may vanish here.
+        report(client, getattr(callback, "__qualname__", "A callback"), error)
+
+
+_told: dict[tuple[int, str], float] = {}
+
+
+def report(client: viser.ClientHandle, what: str, error: Exception) -> None:
+    """Tells one person, and the log what nobody foresaw, that something failed.
+
+    What is on that person's screen already is not told again: while a camera is
+    dragged, the same thing fails twenty times a second.
+    """
+    foreseen = isinstance(error, PhotoregError)
+    title = "That is not possible" if foreseen else "That did not work"
+    text = str(error) if foreseen else UNFORESEEN
+    now = time.monotonic()
+    for key, when in list(_told.items()):
+        if now - when > MESSAGE_SECONDS:
+            _told.pop(key, None)
+    key = (client.client_id, f"{what}: {error}")
+    if _told.setdefault(key, now) != now:
+        return
+    if not foreseen:
+        log.error("%s failed", what, exc_info=error)
+    notify(client, title, text)
 
 
 Typing = tuple[float | None, ...]

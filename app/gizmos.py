@@ -7,7 +7,7 @@ import numpy as np
 import viser
 import viser.transforms as vtf
 
-from app.controls import put
+from app.controls import guarded, put
 from app.placement import DisplayFrame, orbit_axes, orbited
 from app.state import State
 from photoreg.camera import Camera
@@ -52,7 +52,8 @@ class Gizmos:
         """
 
         @self.move.on_update
-        async def _(event: viser.TransformControlsEvent) -> None:
+        @guarded
+        def _(event: viser.TransformControlsEvent) -> None:
             self._hold(event)
             rotation = vtf.SO3(event.target.wxyz).as_matrix()
             position = np.array(event.target.position)
@@ -63,7 +64,8 @@ class Gizmos:
             )
 
         @self.orbit.on_update
-        async def _(event: viser.TransformControlsEvent) -> None:
+        @guarded
+        def _(event: viser.TransformControlsEvent) -> None:
             self._hold(event)
             wxyz = np.array(event.target.wxyz)
             moved(

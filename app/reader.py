@@ -138,6 +138,6 @@ def _read(paths: tuple[Path, ...]) -> Iterator[ReadingEvent]:
         except MemoryError:
             yield Failed("read", f"There is not enough memory to read {path.name}.")
         except Exception:  # noqa: BLE001 - the border of the process: report.
-            text = f"Reading {path.name} crashed; the terminal has the details."
+            text = f"Reading {path.name} crashed; the log has the details."
             yield Failed("read", text, traceback.format_exc())
     yield ReadAll(complete=True)

@@ -26,7 +26,7 @@ from websockets.http11 import Request, Response
 from app.bus import Bus, sending
 from app.canvas import backdrop
 from app.conductor import Conductor
-from app.controls import BRAND, guarded, notify, put
+from app.controls import BRAND, guarded, guarded_client, notify, put, report
 from app.hands import Hands
 from app.help import Help
 from app.meter import meter_html
@@ -88,8 +88,8 @@ class Page:
         session.listen(lambda *_: self._wake.set())
         conductor.on_picture = self.projects.on_change = self._wake.set
         conductor.on_problem = self._tell_everybody
-        self.server.on_client_connect(self._on_connect)
-        self.server.on_client_disconnect(self._on_disconnect)
+        self.server.on_client_connect(guarded_client(self._on_connect))
+        self.server.on_client_disconnect(guarded_client(self._on_disconnect))
         self._paint()
         self._painter = threading.Thread(target=self._paint_on, daemon=True)
         self._painter.start()
@@ -216,8 +216,12 @@ class Page:
                 self.conductor.blink()
             try:
                 self._paint()
-            except Exception:
-                log.exception("The page could not be painted")
+            except Exception as error:
+                clients = self.server.get_clients()
+                for client in clients.values():
+                    report(client, "Painting the page", error)
+                if not clients:
+                    log.error("Painting the page failed", exc_info=error)
             threading.Event().wait(PAINT_PERIOD_S)
 
     def _paint(self) -> None:
@@ -285,18 +289,22 @@ class Page:
             self._drag += 1
         state = self.session.state
         entry, index = state.selected_photo, state.selected
-        if entry is None or state.run.status != "idle":
-            return
-        if self._hands.take(browser, index, GIZMO_HOLD_S):
-            word = "Move" if state.gizmo == "move" else "Orbit"
-            self.session.change(
-                f"{word} camera {index + 1}",
-                with_entry(index, camera=change(entry.camera)),
-                ("gizmo", self._drag),
-            )
-        if phase == "end":
-            self._hands.drop(browser)
-            self._wake.set()
+        try:
+            if (
+                entry is not None
+                and state.run.status == "idle"
+                and self._hands.take(browser, index, GIZMO_HOLD_S)
+            ):
+                word = "Move" if state.gizmo == "move" else "Orbit"
+                self.session.change(
+                    f"{word} camera {index + 1}",
+                    with_entry(index, camera=change(entry.camera)),
+                    ("gizmo", self._drag),
+                )
+        finally:
+            if phase == "end":
+                self._hands.drop(browser)
+                self._wake.set()
 
     def _tell_everybody(self, sentence: str) -> None:
         for client in self.server.get_clients().values():

@@ -30,7 +30,7 @@ from app.canvas import (
     without_skew,
 )
 from app.conductor import Conductor
-from app.controls import notify, put
+from app.controls import guarded, notify, put
 from app.hands import Hands
 from app.home_view import home_view
 from app.placement import DisplayFrame
@@ -128,7 +128,7 @@ class Viewport:
         self._n_scripts = itertools.count()
         client.camera.min_orbit_distance = PIVOT
         self._hide("/clear")
-        client.camera.on_update(self._on_camera)
+        client.camera.on_update(guarded(self._on_camera))
 
     # What the user asks for.
 
@@ -381,7 +381,7 @@ class Viewport:
 
     # What the browser reports.
 
-    async def _on_camera(self, view: viser.CameraHandle) -> None:
+    def _on_camera(self, view: viser.CameraHandle) -> None:
         with self._lock:
             state = self._session.state
             entry = state.selected_photo

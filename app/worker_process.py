@@ -106,7 +106,7 @@ class WorkerProcess:
                 else:
                     raise
             except Exception:  # noqa: BLE001 - the border of the process: report.
-                text = "That crashed; the terminal has the details."
+                text = "That crashed; the log has the details."
                 self._send(Failed(type(job).__name__, text, traceback.format_exc()))
 
     def _send(self, event: Event) -> None:
