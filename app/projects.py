@@ -19,6 +19,7 @@ from photoreg.project_files import FileProblem
 log = logging.getLogger(__name__)
 
 NOT_KEPT = "Your work is not being kept."
+OLD_COPY = "Brought up to date; as it was before, it is kept as %s."
 
 
 class Projects:
@@ -246,7 +247,8 @@ class Projects:
             if show is not None:
                 show()
             self._session.read_only = project.read_only
-            self._session.change(None, setting(saving=project.read_only))
+            note = "" if project.old_copy is None else OLD_COPY % project.old_copy.name
+            self._session.change(None, setting(saving=project.read_only, note=note))
 
         try:
             self._let_go(follow, by_copy=show is None)

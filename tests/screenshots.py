@@ -4,7 +4,9 @@ Drives the demo in Chromium as a person would and writes docs/*.png.
 """
 
 import io
+import os
 import sys
+import tempfile
 from pathlib import Path
 
 from PIL import Image
@@ -12,9 +14,9 @@ from playwright.sync_api import sync_playwright
 
 from app.conductor import Conductor
 from app.opening import demo_folder, open_folder
+from app.projects import Projects
 from app.server import Page
 from app.session import Session
-from app.state import State
 from tests.browser.driver import Driver, launch, wait_until
 
 FOLDER = Path(__file__).parents[1] / "docs"
@@ -25,9 +27,21 @@ MAX_BYTES = 350_000
 def main() -> int:
     """Writes the pictures; returns the exit status."""
     FOLDER.mkdir(exist_ok=True)
-    session = Session(State(document=open_folder(demo_folder())))
-    conductor = Conductor(session)
-    page = Page(session, conductor, port=0)
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["PHOTOREG_DATA"] = folder
+        session = Session()
+        projects = Projects(session)
+        projects.new(open_folder(demo_folder()), Path(folder) / "Shell")
+        conductor = Conductor(session, projects=projects)
+        page = Page(session, conductor, port=0)
+        drive(session, conductor, projects, page)
+    return 0
+
+
+def drive(
+    session: Session, conductor: Conductor, projects: Projects, page: Page
+) -> None:
+    """Opens a browser on the page, and closes all at the end."""
     try:
         with sync_playwright() as playwright:
             browser = launch(playwright)
@@ -37,7 +51,7 @@ def main() -> int:
     finally:
         page.close()
         conductor.close()
-    return 0
+        projects.close()
 
 
 def take_all(session: Session, driver: Driver) -> None:

@@ -20,7 +20,7 @@ from photoreg.errors import InputError, OutputError
 from photoreg.mesh import load_mesh
 from photoreg.photo import load_photo
 from photoreg.project import DATABASE, Project, Step
-from photoreg.project_files import keep_file, plain_name
+from photoreg.project_files import is_on_network, keep_file, plain_name
 from photoreg.project_runs import Generation
 
 TYPES = [
@@ -553,3 +553,25 @@ def test_cameras_keep_every_bit(project):
             (back.t_cam_world, camera.t_cam_world),
         ):
             assert np.array_equal(ours, theirs)
+
+
+def test_a_folder_of_other_machines_is_known_and_its_project_needs_no_shared_memory(
+    tmp_path, monkeypatch
+):
+    mounts = tmp_path / "mountinfo"
+    line = "36 35 98:0 / {} rw,noatime master:1 - {} server:/x rw\n"
+    mounts.write_text(
+        line.format("/", "ext4")
+        + line.format("/mnt/my\\040share", "nfs4")
+        + line.format("/mnt/my\\040share/here", "xfs")
+    )
+    assert is_on_network(Path("/mnt/my share/a/b"), mounts)
+    assert not is_on_network(Path("/mnt/my share/here/b"), mounts)
+    assert not is_on_network(Path("/mnt/my shares"), mounts)
+    assert not is_on_network(tmp_path, tmp_path / "nowhere")
+
+    monkeypatch.setattr("photoreg.project.is_on_network", lambda _: True)
+    project = Project(tmp_path / "p")
+    project.write_settings({"a": 1})
+    assert {p.name for p in project.folder.iterdir()} == {DATABASE, "project.lock"}
+    project.close()

@@ -5,6 +5,7 @@ import socket
 import numpy as np
 import pytest
 
+from app.server import Page
 from app.session import with_document, with_entry
 from app.state import same_camera
 from tests.browser.driver import wait_until
@@ -167,3 +168,34 @@ def test_pages_of_another_origin_are_refused(app):
     # A name of somebody else's that was made to lead here.
     rebound = handshake(port, f"http://evil.example:{port}", f"evil.example:{port}")
     assert " 403 " in rebound
+
+
+def test_what_nobody_foresaw_reaches_the_person_who_clicked_and_the_log(
+    app, monkeypatch, caplog
+):
+    app.session.change("Turn", with_document(up=(0.0, 0.0, 1.0)))
+    monkeypatch.setattr(app.session, "undo", lambda: 1 / 0)
+    app.driver.click("Undo: Turn")
+    app.driver.page.get_by_text("Something failed that photoreg did not").wait_for()
+    wait_until(lambda: "ZeroDivisionError" in caplog.text, "the log has it", 20)
+
+
+def test_the_page_comes_back_after_the_network_drops_and_after_a_restart(app):
+    page, server = app.driver.page, app.page.server
+    before = set(server.get_clients())
+    server._websock_server.disconnect_all_clients()
+    wait_until(lambda: set(server.get_clients()) - before, "it connects again")
+    app.session.change("While the net was down", with_document(up=(0.0, 0.0, 1.0)))
+    page.get_by_role("button", name="Undo: While the net was down").wait_for()
+    port = app.page.port
+    app.page.close()
+    app.session.change("While the server was down", with_document(up=(1.0, 0.0, 0.0)))
+    app.page = Page(app.session, app.conductor, port=port, shadows=False)
+    undo = page.get_by_role("button", name="Undo: While the server was down")
+    undo.wait_for(timeout=60_000)
+    wait_until(app.page.server.get_clients, "it has connected")
+    # What is clicked arrives, too.
+    undo.click()
+    wait_until(
+        lambda: app.state.undo_name == "While the net was down", "the click arrives"
+    )

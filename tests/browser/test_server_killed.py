@@ -1,10 +1,5 @@
 """The whole server is killed in the middle of a run; started again, the run goes on."""
 
-import contextlib
-import re
-import subprocess
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,34 +14,7 @@ from photoreg.registration import Finished, RegistrationConfig, refine
 from photoreg.scene_options import SceneOptions
 from photoreg.synthetic import make_scene, write_scene
 from tests.browser.driver import Driver, wait_until
-
-SERVER = """
-import sys
-from pathlib import Path
-from app.main import run_app
-if __name__ == "__main__":  # The worker process imports it again.
-    folder, *files = map(Path, sys.argv[1:])
-    run_app(files, project=folder, port=0, open_browser=False, shadows=False)
-"""
-
-
-@contextlib.contextmanager
-def server(folder: Path, *files: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """The app as a program of its own, and its address."""
-    program = folder.with_name("server.py")
-    program.write_text(SERVER)
-    command = [sys.executable, str(program), str(folder), *map(str, files)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stdout is not None
-            found = None
-            while found is None:
-                line = process.stdout.readline()
-                assert line, "the server ended by itself"
-                found = re.search(r"http://\S+", line)
-            yield process, found.group().rstrip("/")
-        finally:
-            process.kill()
+from tests.server_program import server
 
 
 def stored_run(folder: Path) -> tuple[Run, bool]:
