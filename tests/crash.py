@@ -96,21 +96,27 @@ class Crash:
         os.close(write)
         with os.fdopen(read, "r") as told:
             lines = Lines(told)
-            worker = int(lines.until("ready", START_S).split()[1])
-            if has_run:
-                lines.until("course", START_S)
-            # One, the other, or both at the same moment: in any order of events.
-            time.sleep(self._random.uniform(0.0, MAX_LIFE_S) / 2)
-            os.kill(worker, signal.SIGKILL)
-            self.n_worker_kills += 1
-            if has_run and self._random.random() < 0.5:
-                lines.until("no run", TOLD_S)
-            time.sleep(self._random.uniform(0.0, MAX_LIFE_S) / 2)
-            os.kill(pid, signal.SIGKILL)
-            os.waitpid(pid, 0)
-            self.n_server_kills += 1
+            try:
+                self._wait_and_kill(lines, has_run)
+            finally:
+                os.kill(pid, signal.SIGKILL)
+                os.waitpid(pid, 0)
             lines.rest()
+        self.n_server_kills += 1
         self._look(lines.whole, has_run)
+
+    def _wait_and_kill(self, lines: "Lines", has_run: bool) -> None:
+        """Kills the worker, and waits for the moment to kill the server ``pid``."""
+        worker = int(lines.until("ready", START_S).split()[1])
+        if has_run:
+            lines.until("course", START_S)
+        # One, the other, or both at the same moment: in any order of events.
+        time.sleep(self._random.uniform(0.0, MAX_LIFE_S) / 2)
+        os.kill(worker, signal.SIGKILL)
+        self.n_worker_kills += 1
+        if has_run and self._random.random() < 0.5:
+            lines.until("no run", TOLD_S)
+        time.sleep(self._random.uniform(0.0, MAX_LIFE_S) / 2)
 
     def _look(self, lines: list[str], has_run: bool) -> None:
         shown = at_least = None

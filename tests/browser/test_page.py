@@ -185,7 +185,7 @@ def test_the_page_comes_back_after_the_network_drops_and_after_a_restart(app):
     before = set(server.get_clients())
     server._websock_server.disconnect_all_clients()
     wait_until(lambda: set(server.get_clients()) - before, "it connects again")
-    app.session.change("While the net was down", with_document(up=(0.0, 0.0, 1.0)))
+    app.session.change("While the net was down", with_document(up=(0.0, 0.6, 0.8)))
     page.get_by_role("button", name="Undo: While the net was down").wait_for()
     port = app.page.port
     app.page.close()
