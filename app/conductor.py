@@ -51,7 +51,7 @@ from app.solver import Solver
 from app.state import Document, Job, State
 from app.worker import Worker
 from photoreg.errors import InputError
-from photoreg.formats.cameras_json import CameraFile, dump_cameras
+from photoreg.formats.camera_download import CamerasDownload, cameras_download
 
 log = logging.getLogger(__name__)
 
@@ -149,12 +149,31 @@ class Conductor:
             self._deliver = deliver
             self.worker.send(Pack(state.model_choice))
 
-    def cameras_text(self) -> str:
-        """The document's cameras as a photoreg camera file."""
-        photos = self.session.state.document.photos
-        if not photos:
-            raise InputError("There are no photos, so there are no cameras to save.")
-        return dump_cameras(CameraFile({entry.name: entry.camera for entry in photos}))
+    def pack_cameras(self) -> CamerasDownload:
+        """The document's cameras as a file in the format chosen.
+
+        Raises:
+            InputError: if there are none, or this format cannot hold them.
+        """
+        with self._lock:
+            state = self.session.state
+            must_be_idle(state)
+            document, choice = state.document, state.cameras_choice
+            if not document.photos:
+                raise InputError(
+                    "There are no photos, so there are no cameras to save."
+                )
+            self._set(job=Job("Writing the cameras"))
+        try:
+            return cameras_download(
+                choice.format,
+                {entry.name: entry.camera for entry in document.photos},
+                [entry.photo for entry in document.photos],
+                document.mesh,
+                choice.with_photos,
+            )
+        finally:
+            self._set(job=None)
 
     def blink(self) -> None:
         """Shows the other picture of a blink, if there is one."""

@@ -19,16 +19,18 @@ from app.messages import (
     Reading,
     ReadingEvent,
 )
-from app.opening import with_camera_file
 from app.reader import Reader
 from app.session import Session, setting
 from app.state import Document, Job, State
 from photoreg.errors import InputError, PhotoregError
+from photoreg.formats.archives import unzipped
+from photoreg.formats.camera_search import CAMERA_SUFFIXES
+from photoreg.formats.meshlab import PADDED
 from photoreg.mesh import MESH_SUFFIXES
 from photoreg.photo import PHOTO_SUFFIXES
 from photoreg.project_files import keep_file, plain_name
 
-KINDS = (MESH_SUFFIXES, PHOTO_SUFFIXES, (".json",))
+KINDS = (MESH_SUFFIXES, PHOTO_SUFFIXES, (*CAMERA_SUFFIXES, ".zip"))
 """In the order in which they are opened: cameras are matched to photos that are there."""
 
 MAX_FILES = 200
@@ -43,8 +45,9 @@ class Batch:
     step: str
     begins_anew: bool
     """Whether they take the place of what is open."""
-    cameras: list[Path]
-    """Read at the end, when the photos they are for are there."""
+    cameras: Path | None
+    """Folder of the files of cameras; they are read at the end, when the photos they
+    are for are there."""
     loaded: list[MeshLoaded | PhotoLoaded] = dataclasses.field(default_factory=list)
     problems: list[str] = dataclasses.field(default_factory=list)
 
@@ -57,13 +60,11 @@ class Batch:
                 state = outcomes.with_photo(state, event)
             else:
                 state = outcomes.with_mesh(state, event)
-        for path in self.cameras:
+        if self.cameras is not None:
             try:
-                document = with_camera_file(state.document, path)
+                state = outcomes.with_cameras_in(state, self.cameras)
             except PhotoregError as error:
                 self.problems.append(str(error))
-            else:
-                state = dataclasses.replace(state, document=document)
         return state
 
 
@@ -90,6 +91,8 @@ class Intake:
         self._sender: int | None = None
         self._n_expected = 0
         self._received: list[Path] = []
+        self._cameras = Path(self._folder.name)
+        """Where files of cameras go: those of some formats are several."""
         self._batch: Batch | None = None
 
     @property
@@ -115,6 +118,7 @@ class Intake:
         with self._session.lock:
             self._must_be_idle()
             self._sender, self._n_expected, self._received = browser, n_files, []
+            self._cameras = self._new_folder()
             files = "a file" if n_files == 1 else f"{n_files} files"
             self._show(f"Receiving {files}", 0.0)
         self._reader.prepare()
@@ -145,34 +149,47 @@ class Intake:
 
     def open_one(self, name: str, content: bytes) -> None:
         """Opens a single file."""
+        self._cameras = self._new_folder()
         self.open([self._keep(name, content)])
 
     def open(self, paths: Sequence[Path]) -> None:
         """Opens files, as one undo step.
 
         A mesh that comes with photos begins a new scene. A mesh alone takes the place
-        of the one before; photos alone are added.
+        of the one before; photos alone are added. Out of a zip, the cameras are taken,
+        and the mesh and the photos that are not there yet.
 
         Raises:
-            InputError: if there are two meshes among them.
+            InputError: if there are two meshes among them, or nothing is.
             RefinementError: if something else is still going on.
         """
         with self._session.lock:
             self._must_be_idle()
-            meshes = [p for p in paths if _kind(p) == 0]
+            step = f"Open {len(paths)} files"
+            if len(paths) == 1:
+                step = f"{'Add' if _kind(paths[0]) == 1 else 'Load'} {paths[0].name}"
+            elif all(_kind(path) == 2 for path in paths):
+                step = "Load cameras"
+            found = [path for path in paths if not _is_zip(path)]
+            for archive in filter(_is_zip, paths):
+                found += self._unpacked(archive, found)
+            meshes = [path for path in found if _kind(path) == 0]
             if len(meshes) > 1:
                 raise InputError(
                     f"{meshes[1].name} is a second mesh; photos are laid onto one. "
                     "Join the meshes first."
                 )
-            step = f"Open {len(paths)} files"
-            if len(paths) == 1:
-                step = f"{'Add' if _kind(paths[0]) == 1 else 'Load'} {paths[0].name}"
-            begins_anew = bool(meshes) and any(_kind(p) == 1 for p in paths)
+            if not found:
+                raise InputError(
+                    f"{paths[0].name} holds nothing that photoreg opens and that is not "
+                    "there already."
+                )
+            begins_anew = bool(meshes) and any(_kind(p) == 1 for p in found)
+            has_cameras = any(_kind(p) == 2 for p in found)
             self._batch = batch = Batch(
-                step, begins_anew, [p for p in paths if _kind(p) == 2]
+                step, begins_anew, self._cameras if has_cameras else None
             )
-            to_read = sorted((p for p in paths if _kind(p) < 2), key=_kind)
+            to_read = sorted((p for p in found if _kind(p) < 2), key=_kind)
             if to_read:
                 self._show("Opening", 0.0)
                 self._reader.read(to_read, lambda event: self._on_event(batch, event))
@@ -221,19 +238,59 @@ class Intake:
         job = Job(title, fraction, can_stop=True)
         self._session.change(None, setting(job=job))
 
+    def _unpacked(self, archive: Path, known: Sequence[Path]) -> list[Path]:
+        """The cameras in a zip, and the mesh and photos that are not there yet."""
+        document = self._session.state.document
+        names = {entry.name for entry in document.photos} | {p.name for p in known}
+        has_mesh = document.mesh is not None or any(_kind(p) == 0 for p in known)
+
+        def is_wanted(name: str) -> bool:
+            kind = _kind(Path(name))
+            if kind == 1:
+                # MeshLab's padded copies are of photos that have another name.
+                return name not in names and PADDED.fullmatch(name) is None
+            is_of_cameras = kind == 2 and not _is_zip(Path(name))
+            return is_of_cameras or (kind == 0 and not has_mesh)
+
+        folder = self._cameras / archive.stem
+        paths = unzipped(archive, folder, is_wanted)
+        archive.unlink()
+        return [
+            path
+            if _kind(path) == 2
+            else self._keep_file(plain_name(path.name), path.read_bytes())
+            for path in paths
+        ]
+
+    def _new_folder(self) -> Path:
+        folder = Path(self._folder.name) / str(next(self._count))
+        folder.mkdir()
+        return folder
+
+    def _keep_file(self, name: str, content: bytes) -> Path:
+        kept = self._keep_in_project(name, content)
+        # A folder for each: what comes again keeps its name.
+        return keep_file(self._new_folder(), name, content) if kept is None else kept
+
     def _keep(self, name: str, content: bytes) -> Path:
         # Only the last part of the name: a path must not leave the folder.
         plain = plain_name(name)
-        if _kind(Path(plain)) == len(KINDS):
+        kind = _kind(Path(plain))
+        if kind == len(KINDS):
             suffixes = ", ".join(suffix for kind in KINDS for suffix in kind)
             raise InputError(
                 f"{plain} is not a file photoreg opens: the suffix should be one of "
                 f"{suffixes}."
             )
-        kept = self._keep_in_project(plain, content)
-        return (
-            keep_file(Path(self._folder.name), plain, content) if kept is None else kept
-        )
+        if kind < 2:
+            return self._keep_file(plain, content)
+        if (self._cameras / plain).exists():
+            raise InputError(f"{plain} came twice. Give one, or a zip with folders.")
+        return keep_file(self._cameras, plain, content)
+
+
+def _is_zip(path: Path) -> bool:
+    return path.suffix.lower() == ".zip"
 
 
 def _kind(path: Path) -> int:

@@ -1,14 +1,14 @@
 """Where the static files are, and how a scene is opened from a folder or from files."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from app.placement import first_camera, up_of
 from app.state import Document, PhotoEntry
-from photoreg.camera import Camera
 from photoreg.errors import InputError
-from photoreg.formats.cameras_json import load_cameras
+from photoreg.formats.cameras import read_cameras
+from photoreg.formats.cameras_json import CameraFile, load_cameras
 from photoreg.mesh import MESH_SUFFIXES, load_mesh
 from photoreg.photo import PHOTO_SUFFIXES, load_photo
 
@@ -105,33 +105,64 @@ def open_files(paths: Sequence[Path], cameras: Path | None = None) -> Document:
 
 
 def with_camera_file(document: Document, path: Path) -> Document:
-    """The document with the cameras of a file, matched by photo name.
+    """The document with the cameras of a file or folder of any format.
 
     Raises:
-        InputError: if the file is not valid, names none of the photos, or is for
-            photos of another size.
+        InputError: if they cannot be read, or do not go with the photos.
     """
-    file = load_cameras(path)
+    file = read_cameras(path, photos=photo_files(document))
+    return with_cameras(document, file, path.name)
+
+
+def photo_files(document: Document) -> dict[str, Path]:
+    """The files of the photos, by name, as far as they are there."""
+    return {
+        entry.name: entry.photo.source.path
+        for entry in document.photos
+        if entry.photo.source is not None and entry.photo.source.path.is_file()
+    }
+
+
+def with_cameras(document: Document, file: CameraFile, name: str) -> Document:
+    """The document with cameras that were read, matched by photo name.
+
+    Photos that the file does not have keep their cameras.
+
+    Args:
+        document: What is open.
+        file: The cameras.
+        name: Of the file, for the sentence of an error.
+
+    Raises:
+        InputError: if none of the photos has a camera there, or one is for a photo of
+            another size.
+    """
+    if not document.photos:
+        raise InputError(
+            f"{name} has cameras for {listed(file.cameras)}. Open these photos first, "
+            "or together with it: cameras are matched to photos by file name."
+        )
     known = [entry for entry in document.photos if entry.name in file.cameras]
     if not known:
         raise InputError(
-            f"{path.name} has cameras for {', '.join(file.cameras) or 'nothing'}, but "
-            f"the photos are {', '.join(e.name for e in document.photos) or 'none'}. "
-            "Photos are matched by file name."
+            f"{name} has cameras for {listed(file.cameras)}, but the photos are "
+            f"{listed(entry.name for entry in document.photos)}. Photos are matched by "
+            "file name; rename them in the list above."
         )
-    found = dict(
-        zip(
-            (entry.name for entry in known),
-            file.of_photos([entry.photo for entry in known]),
-            strict=True,
-        )
-    )
-    cameras: tuple[Camera, ...] = tuple(found.values())
+    cameras = file.of_photos([entry.photo for entry in known])
+    found = {entry.name: camera for entry, camera in zip(known, cameras, strict=True)}
     return dataclasses.replace(
         document,
         photos=tuple(
             dataclasses.replace(entry, camera=found.get(entry.name, entry.camera))
             for entry in document.photos
         ),
-        up=up_of(cameras) or document.up,
+        up=up_of(tuple(cameras)) or document.up,
     )
+
+
+def listed(names: Iterable[str], most: int = 5) -> str:
+    """The first names, and how many more there are."""
+    known = list(names)
+    more = f" and {len(known) - most} more" if len(known) > most else ""
+    return (", ".join(known[:most]) or "nothing") + more

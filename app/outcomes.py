@@ -1,6 +1,7 @@
 """What the worker's events make of the state: pure functions, old state to new."""
 
 import dataclasses
+from pathlib import Path
 
 from app import session as rules
 from app.messages import (
@@ -12,12 +13,15 @@ from app.messages import (
     Refined,
     Working,
 )
+from app.opening import listed, photo_files, with_cameras
 from app.placement import first_camera
 from app.run import CurvePoint, Run
 from app.state import Document, Job, State, same_camera
 from app.timing import seconds_left
 from photoreg.camera import Camera
 from photoreg.events import Finished
+from photoreg.formats.camera_search import find_cameras
+from photoreg.formats.cameras import format_to_read, read_cameras
 
 MAX_CURVE_POINTS = 600
 """Beyond this every second point of the cost curve is dropped."""
@@ -48,6 +52,27 @@ def with_photo(state: State, event: PhotoLoaded) -> State:
     camera = first_camera(document.mesh, event.photo, document.up, others)
     state = rules.with_photo_added(event.photo, camera)(state)
     return dataclasses.replace(state, note=f"{event.photo.name} is added.")
+
+
+def with_cameras_in(state: State, folder: Path) -> State:
+    """The photos have the cameras among the files of a folder, as far as there are any.
+
+    Raises:
+        InputError: if there are none, they cannot be read, or not for these photos.
+    """
+    path = find_cameras(folder)
+    name = path.name if path.is_file() else format_to_read(path).label
+    file = read_cameras(path, photos=photo_files(state.document))
+    document = with_cameras(state.document, file, name)
+    names = [entry.name for entry in document.photos]
+    lacking = [name for name in names if name not in file.cameras]
+    note = f"The cameras are those of {name}."
+    if lacking:
+        note = (
+            f"{name} has cameras for {len(names) - len(lacking)} of {len(names)} photos; "
+            f"{listed(lacking)} kept the old ones."
+        )
+    return dataclasses.replace(state, document=document, note=note)
 
 
 def worked(state: State, event: Working) -> State:

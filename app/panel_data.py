@@ -15,6 +15,7 @@ from app.placement import guessed_focal_px
 from app.points import index_of_photo
 from app.session import select, setting
 from app.state import PhotoEntry, State
+from photoreg.formats.camera_search import CAMERA_SUFFIXES
 
 THUMBNAIL_PX = 160
 
@@ -204,16 +205,36 @@ def _opening_html(state: State, busy: bool) -> str:
     """The button that opens files; while one is read, which."""
     job = state.job
     text = "Open files …" if job is None else f"{html.escape(job.title)} …"
-    dim = "opacity:.5;cursor:default" if busy else "cursor:pointer"
+    no_photos = busy or not state.document.photos
     return (
-        f'<div style="margin:4px 12px 10px"><button {"disabled" if busy else ""} style="'
-        "font:inherit;font-size:14px;font-weight:600;border:0;border-radius:5px;"
-        f'padding:9px;width:100%;background:#26a69a;color:#04211e;{dim}" '
-        f'onclick="photoreg.choose()">{text}</button>'
-        '<div style="font-size:12.5px;opacity:.75;margin-top:7px;line-height:1.45">'
+        '<div style="margin:4px 12px 10px">'
+        + _big_button(text, "background:#26a69a;color:#04211e", busy)
+        + f'<div style="{_FINE_PRINT};margin-bottom:9px">'
         "Or drop them anywhere on this page, several at once. Mesh: OBJ, PLY, STL, GLB, "
-        "OFF. Photos: JPEG, PNG, TIFF. Cameras: JSON. A new photo gets a first camera "
-        "in front of the object; place it in the next tab.</div></div>"
+        "OFF. Photos: JPEG, PNG, TIFF. A new photo gets a first camera in front of the "
+        "object; place it in the next tab.</div>"
+        + _big_button(
+            "Load cameras …",
+            "background:rgba(128,140,155,.25);color:inherit",
+            no_photos,
+            ",".join(CAMERA_SUFFIXES) + ",.zip",
+        )
+        + f'<div style="{_FINE_PRINT}">'
+        "To go on from another program: COLMAP (cameras and images together, or a zip), "
+        "MeshLab .mlp, nerfstudio, texrecon, OpenCV, Bundler, or photoreg’s own "
+        "cameras.json. Matched to the photos by file name.</div></div>"
+    )
+
+
+_FINE_PRINT = "font-size:12.5px;opacity:.75;margin-top:7px;line-height:1.45"
+
+
+def _big_button(text: str, colours: str, disabled: bool, accept: str = "") -> str:
+    dim = "opacity:.5;cursor:default" if disabled else "cursor:pointer"
+    return (
+        f'<button {"disabled" if disabled else ""} style="font:inherit;font-size:14px;'
+        f"font-weight:600;border:0;border-radius:5px;padding:9px;width:100%;{colours};"
+        f'{dim}" onclick="photoreg.choose(\'{accept}\')">{text}</button>'
     )
 
 

@@ -10,11 +10,12 @@ import viser
 
 from app.bus import Bus
 from app.conductor import Conductor
-from app.controls import guarded, put, put_value
+from app.controls import guarded, guarded_slow, notify, put, put_value
 from app.session import setting
 from app.state import State, Texture
 from app.widgets import HELP, Choice, Option, help_line
 from photoreg.errors import InputError
+from photoreg.formats.cameras import CAMERA_FORMATS
 
 SIZES = {
     "auto": Option("Auto", "About one texel for each photo pixel on the surface."),
@@ -37,6 +38,8 @@ FORMATS = {
     "ply": Option("PLY", "PLY with its picture in a zip, for MeshLab."),
     "coloured ply": Option("PLY, no picture", "Colours at the vertices, no texture."),
 }
+
+PROGRAMS = {format.label: name for name, format in CAMERA_FORMATS.items()}
 
 
 class ExportPanel:
@@ -62,6 +65,10 @@ class ExportPanel:
 
             return heard
 
+        def choose_cameras(**values: Any) -> None:
+            choice = dataclasses.replace(session.state.cameras_choice, **values)
+            session.change(None, setting(cameras_choice=choice))
+
         gui.add_markdown("The photos as one texture on the mesh.")
         self._size = Choice(gui, bus, "Size", SIZES, configure("size", _size))
         self._mode = Choice(gui, bus, "Photos", MODES, configure("mode"))
@@ -84,12 +91,33 @@ class ExportPanel:
             "Download the model", icon=viser.Icon.DOWNLOAD, disabled=True
         )
         gui.add_divider()
+        gui.add_markdown("The cameras, for your other programs.")
+        self._program = gui.add_dropdown("For", tuple(PROGRAMS))
+        self._loses = gui.add_html("")
+        self._with_photos = gui.add_checkbox("With the photos", True)
         self._cameras = gui.add_button(
-            "Export cameras.json", icon=viser.Icon.CAMERA, color="gray"
+            "Download the cameras", icon=viser.Icon.CAMERA, color="gray"
         )
-        gui.add_html(
-            help_line("For photoreg's command line and for this app's Data tab.")
-        )
+
+        @self._program.on_update
+        @guarded
+        def _(_: viser.GuiEvent) -> None:
+            choose_cameras(format=PROGRAMS[self._program.value])
+
+        @self._with_photos.on_update
+        @guarded
+        def _(_: viser.GuiEvent) -> None:
+            choose_cameras(with_photos=self._with_photos.value)
+
+        @self._cameras.on_click
+        @guarded_slow
+        def _(event: viser.GuiEvent) -> None:
+            deliver = _sending_to(event.client)
+            made = conductor.pack_cameras()
+            deliver(made.name, made.content)
+            if made.losses and event.client is not None:
+                text = "It loses something: " + " ".join(made.losses)
+                notify(event.client, made.name, text, bad=False)
 
         @self._colour.on_update
         @guarded
@@ -119,12 +147,6 @@ class ExportPanel:
         def _(event: viser.GuiEvent) -> None:
             conductor.pack_model(_sending_to(event.client))
 
-        @self._cameras.on_click
-        @guarded
-        def _(event: viser.GuiEvent) -> None:
-            deliver = _sending_to(event.client)
-            deliver("cameras.json", conductor.cameras_text().encode())
-
     def show(self, state: State) -> None:
         """Makes the controls as ``state`` has them."""
         job, config, choice = state.job, state.texture_config, state.model_choice
@@ -149,8 +171,17 @@ class ExportPanel:
         put(self._coverage_folder, "visible", state.texture is not None)
         if state.texture is not None:
             put(self._coverage, "content", _coverage_html(state.texture))
-        put(self._cameras, "disabled", not state.document.photos)
+        self._show_cameras(state, idle)
         put(self._text, "content", _text(state))
+
+    def _show_cameras(self, state: State, idle: bool) -> None:
+        choice = state.cameras_choice
+        chosen = CAMERA_FORMATS[choice.format]
+        put_value(self._program, chosen.label)
+        put(self._loses, "content", help_line(f"{chosen.keeps} {chosen.loses}"))
+        put(self._with_photos, "visible", chosen.is_beside_photos)
+        put_value(self._with_photos, choice.with_photos)
+        put(self._cameras, "disabled", not state.document.photos or not idle)
 
 
 def _text(state: State) -> str:

@@ -13,6 +13,7 @@ from app.masks import decode_mask, encode_mask
 from app.run import KeptSearch, Run
 from app.timing import Speed
 from photoreg.camera import Camera
+from photoreg.formats.cameras import FormatName
 from photoreg.formats.pictures import PictureKind
 from photoreg.freedom import Freedom
 from photoreg.mesh import Mesh
@@ -183,6 +184,15 @@ class ModelChoice:
 
 
 @dataclasses.dataclass(frozen=True)
+class CamerasChoice:
+    """What kind of file the cameras are downloaded as."""
+
+    format: FormatName = "photoreg"
+    with_photos: bool = True
+    """Whether photos and mesh go with them, where the format looks for these."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Job:
     """Something other than a refinement that the worker does for the user."""
 
@@ -283,6 +293,7 @@ class State:
     texture_config: TextureConfig = TextureConfig()
     """How the next texture is made."""
     model_choice: ModelChoice = ModelChoice()
+    cameras_choice: CamerasChoice = CamerasChoice()
     worker: str = "Starting the engine"
     """What the worker process is about, in words; empty when it is ready."""
     note: str = ""

@@ -90,13 +90,17 @@ class Choice:
         """Marks the one that is chosen."""
         if options is not None:
             self._options = dict(options)
+        letters = sum(len(option.label) for option in self._options.values())
+        # Many short words fit into one row with less around each.
+        is_tight = len(self._options) > 4 and letters < 24
         buttons = "".join(
             _button(
                 _sending(self._act, key),
                 option.label,
                 f'role="radio" aria-checked="{str(key == value).lower()}" '
                 f'title="{html.escape(_plain(option.help))}"',
-                SELECTED if key == value else "",
+                (SELECTED if key == value else "")
+                + (";padding:4px 3px" if is_tight else ""),
                 option.enabled,
             )
             for key, option in self._options.items()

@@ -86,9 +86,10 @@
     if (element.dataset.file === sending) sending = null;
   });
 
-  photoreg.choose = () => {
+  photoreg.choose = (accept = "") => {
     const box = document.createElement("input");
     box.type = "file";
+    box.accept = accept;
     box.multiple = true;
     box.id = "photoreg-files";
     box.style.display = "none";

@@ -70,7 +70,7 @@ def test_projections_survive_a_round_trip(tmp_path, photos, name):
     path, saved = write(tmp_path, name, cameras)
     # COLMAP itself cuts names at spaces in text; photoreg does not.
     assert len(saved.losses) == (3 if name == "colmap-text" else 0), saved.losses
-    read = read_cameras(path, photos=cameras.photos.values())
+    read = read_cameras(path, photos=cameras.photos)
     assert set(read.cameras) == set(NAMES)
     for photo, camera in cameras.cameras.items():
         back = read.cameras[photo]
@@ -83,7 +83,7 @@ def test_projections_survive_a_round_trip(tmp_path, photos, name):
 def test_skew_is_kept_or_its_loss_is_told(tmp_path, photos, name):
     cameras = camera_set(photos, skew=2.5)
     path, saved = write(tmp_path, name, cameras)
-    read = read_cameras(path, photos=cameras.photos.values())
+    read = read_cameras(path, photos=cameras.photos)
     moved = max(
         largest_shift_px(camera, read.cameras[photo])
         for photo, camera in cameras.cameras.items()
@@ -366,7 +366,7 @@ def test_nerfstudio_s_field_of_view_and_the_photo_s_size_are_enough(tmp_path, ph
     pose = np.eye(4).tolist()
     frames = [{"file_path": f"./{NAMES[0]}", "transform_matrix": pose}]
     path.write_text(json.dumps({"camera_angle_x": 1.0, "frames": frames}))
-    camera = read_cameras(path, photos=cameras.photos.values()).cameras[NAMES[0]]
+    camera = read_cameras(path, photos=cameras.photos).cameras[NAMES[0]]
     f = 80.0 / np.tan(0.5)
     np.testing.assert_allclose(camera.K, [[f, 0, 79.5], [0, f, 48.0], [0, 0, 1]])
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -44,6 +44,8 @@ class CameraFormat:
 
     name: FormatName
     """By which it is chosen."""
+    label: str
+    """What people call it."""
     place: str
     """What to give as a path: a suffix, a file name, or "folder"."""
     keeps: str
@@ -54,6 +56,8 @@ class CameraFormat:
     """Writes cameras to a path."""
     load: Callable[[Path, Mapping[str, Path]], Mapping[str, Camera]] | None
     """Reads cameras from a path, given photos by name; None: it is written only."""
+    is_beside_photos: bool = True
+    """Whether its programs look for the photos where the cameras are."""
 
     @property
     def is_folder(self) -> bool:
@@ -73,14 +77,17 @@ CAMERA_FORMATS: dict[str, CameraFormat] = {
     for camera_format in (
         CameraFormat(
             "photoreg",
+            "photoreg (JSON)",
             ".json",
             "It keeps everything.",
             "It loses nothing.",
             _save_photoreg,
             lambda path, _: load_cameras(path).cameras,
+            is_beside_photos=False,
         ),
         CameraFormat(
             "colmap",
+            "COLMAP (binary)",
             "folder",
             _POSE,
             "It loses skew.",
@@ -89,6 +96,7 @@ CAMERA_FORMATS: dict[str, CameraFormat] = {
         ),
         CameraFormat(
             "colmap-text",
+            "COLMAP (text)",
             "folder",
             _POSE,
             "It loses skew, and photo names after their first space.",
@@ -97,6 +105,7 @@ CAMERA_FORMATS: dict[str, CameraFormat] = {
         ),
         CameraFormat(
             "nerfstudio",
+            "nerfstudio (transforms.json)",
             "transforms.json",
             _POSE,
             "It loses skew.",
@@ -105,6 +114,7 @@ CAMERA_FORMATS: dict[str, CameraFormat] = {
         ),
         CameraFormat(
             "meshlab",
+            "MeshLab (.mlp)",
             ".mlp",
             "It keeps poses, both focal lengths and, by padded copies of the photos, "
             "the principal point to the pixel.",
@@ -114,6 +124,7 @@ CAMERA_FORMATS: dict[str, CameraFormat] = {
         ),
         CameraFormat(
             "texrecon",
+            "texrecon (.cam)",
             "folder",
             _POSE,
             "It loses skew; sizes and full names are the photos'.",
@@ -122,14 +133,17 @@ CAMERA_FORMATS: dict[str, CameraFormat] = {
         ),
         CameraFormat(
             "opencv",
+            "OpenCV (YAML)",
             ".yml",
             "It keeps everything.",
             "It loses nothing.",
             save_opencv,
             lambda path, _: load_opencv(path),
+            is_beside_photos=False,
         ),
         CameraFormat(
             "bundler",
+            "Bundler (.out)",
             ".out",
             "It keeps the camera's place and one focal length.",
             "It loses skew, the second focal length and the principal point, for which "
@@ -139,6 +153,7 @@ CAMERA_FORMATS: dict[str, CameraFormat] = {
         ),
         CameraFormat(
             "blender",
+            "Blender (script)",
             ".py",
             _POSE,
             "It loses skew, and cannot be read back.",
@@ -240,14 +255,17 @@ def format_to_write(path: Path) -> CameraFormat:
 
 
 def read_cameras(
-    path: Path | str, name: str | None = None, photos: Iterable[Path] = ()
+    path: Path | str,
+    name: str | None = None,
+    photos: Sequence[Path] | Mapping[str, Path] = (),
 ) -> CameraFile:
     """Reads cameras of any format.
 
     Args:
         path: A file, or a folder for COLMAP and texrecon.
         name: The format; None: by suffix and contents.
-        photos: The photos, for formats that leave out sizes or names.
+        photos: The photos, for formats that leave out sizes or names; or by name, where
+            that is not the file's.
 
     Raises:
         InputError: if the cameras cannot be read; one sentence says why.
@@ -260,7 +278,9 @@ def read_cameras(
         return load_cameras(path)  # With the keys that only this format has.
     if chosen.is_folder and path.suffix.lower() != ".cam" and not path.is_dir():
         raise InputError(f"{path} should be a folder, for the format {chosen.name}.")
-    return CameraFile(chosen.load(path, photos_by_name(photos)))
+    if not isinstance(photos, Mapping):
+        photos = photos_by_name(photos)
+    return CameraFile(chosen.load(path, photos))
 
 
 def write_cameras(
@@ -283,15 +303,20 @@ def write_cameras(
     path = Path(path)
     chosen = format_to_write(path) if name is None else camera_format(name)
     saved = chosen.save(path, cameras)
-    turned = [
-        n for n, p in cameras.photos.items() if n in cameras.cameras and is_turned(p)
-    ]
-    if turned and chosen.name not in ("photoreg", "opencv", "meshlab"):
-        saved.losses.append(
-            f"{', '.join(turned)}: EXIF shows it otherwise than its pixels are stored, "
-            f"which {chosen.name} does not heed; give it an upright copy of the photo."
-        )
+    written = {n: p for n, p in cameras.photos.items() if n in cameras.cameras}
+    saved.losses.extend(lost_turns(chosen.name, written))
     return saved
+
+
+def lost_turns(name: FormatName, photos: Mapping[str, Path]) -> list[str]:
+    """That programs of a format do not turn these photos as EXIF asks; or nothing."""
+    turned = [photo for photo, path in photos.items() if is_turned(path)]
+    if not turned or name in ("photoreg", "opencv", "meshlab"):
+        return []
+    return [
+        f"{', '.join(turned)}: EXIF shows it otherwise than its pixels are stored, "
+        f"which {name} does not heed; give it an upright copy of the photo."
+    ]
 
 
 def photos_by_name(photos: Iterable[Path]) -> dict[str, Path]:

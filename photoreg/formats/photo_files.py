@@ -51,12 +51,14 @@ def _header(path: Path) -> tuple[int, int, int]:
         ) from error
 
 
-def photo_of_stem(stem: str, folder: Path, photos: Mapping[str, Path]) -> Path | None:
-    """The photo named ``stem`` with any suffix, of ``photos`` or in ``folder``."""
+def photo_of_stem(
+    stem: str, folder: Path, photos: Mapping[str, Path]
+) -> tuple[str, Path] | None:
+    """Name and path of the photo ``stem`` with any suffix, given or in ``folder``."""
     beside = sorted(folder.iterdir()) if folder.is_dir() else []
-    for path in [*photos.values(), *beside]:
-        if path.stem == stem and path.suffix.lower() in PHOTO_SUFFIXES:
-            return path
+    for name, path in [*photos.items(), *((path.name, path) for path in beside)]:
+        if Path(name).stem == stem and Path(name).suffix.lower() in PHOTO_SUFFIXES:
+            return name, path
     return None
 
 

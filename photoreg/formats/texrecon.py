@@ -110,12 +110,13 @@ def _cameras(
             raise InputError(
                 f"{where}: the aspect should be positive, but is {aspect:g}."
             )
-        photo = photo_of_stem(path.stem, path.parent, photos)
-        if photo is None:
+        found = photo_of_stem(path.stem, path.parent, photos)
+        if found is None:
             raise InputError(
                 f"{where}: its photo {path.stem}.* is not beside it; its size is needed. "
                 "Give the photos too."
             )
+        name, photo = found
         width, height = displayed_size(photo)
         if width / height * aspect < 1.0:
             fx, fy = focal * height / aspect, focal * height
@@ -123,4 +124,4 @@ def _cameras(
             fx, fy = focal * width, focal * width * aspect
         K = intrinsics(fx, fy, ppx * width - 0.5, ppy * height - 0.5)
         R = [pose[3:6], pose[6:9], pose[9:12]]
-        yield photo.name, camera_of(where, K, R, pose[:3], width, height)
+        yield name, camera_of(where, K, R, pose[:3], width, height)

@@ -1,11 +1,11 @@
 """A textured model out, in the format of the suffix, to files or into one zip."""
 
 import tempfile
-import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 from photoreg.errors import OutputError
+from photoreg.formats.archives import zipped
 from photoreg.formats.glb import save_textured_glb
 from photoreg.formats.obj import save_textured_obj
 from photoreg.formats.pictures import PictureKind
@@ -18,8 +18,6 @@ TEXTURED_FORMATS: dict[str, Callable[[Path, TexturedMesh, PictureKind], list[Pat
     ".ply": save_textured_ply,
 }
 """Suffix to what writes it and returns the files, the model first."""
-
-COMPRESSED = (".png", ".jpg", ".jpeg", ".glb")
 
 
 def save_textured(
@@ -81,19 +79,3 @@ def textured_download(
             return name, files[0].read_bytes()
         archive = zipped(Path(folder), files)
     return f"{Path(name).stem}-textured.zip", archive
-
-
-def zipped(folder: Path, files: Sequence[Path]) -> bytes:
-    """Files of ``folder`` as one zip; pictures, compressed already, are stored."""
-    target = folder / ".download.zip"
-    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
-        for path in files:
-            is_compressed = path.suffix.lower() in COMPRESSED
-            archive.write(
-                path,
-                path.relative_to(folder).as_posix(),
-                zipfile.ZIP_STORED if is_compressed else zipfile.ZIP_DEFLATED,
-            )
-    content = target.read_bytes()
-    target.unlink()
-    return content

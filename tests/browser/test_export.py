@@ -1,10 +1,14 @@
 """The Export tab in a real browser: the texture and the files to take home."""
 
 import io
+import json
+import zipfile
 from typing import Any
 
 import trimesh
 
+from photoreg.formats.camera_set import largest_shift_px
+from photoreg.formats.cameras import read_cameras
 from tests.browser.driver import wait_until
 
 
@@ -15,7 +19,9 @@ def downloaded(driver, button: str) -> tuple[str, bytes]:
     return download.value.suggested_filename, download.value.path().read_bytes()
 
 
-def test_the_texture_is_made_as_chosen_and_downloaded_as_glb(open_app, toy_document):
+def test_the_texture_is_made_as_chosen_and_downloaded_as_glb(
+    open_app, toy_document, tmp_path
+):
     app = open_app(toy_document)
     driver = app.driver
     driver.dismiss_toasts()
@@ -42,6 +48,25 @@ def test_the_texture_is_made_as_chosen_and_downloaded_as_glb(open_app, toy_docum
     assert max(loaded.visual.material.baseColorTexture.size) == 1024
     driver.choose("Photos", "Blend")
     driver.page.get_by_text("Make it again").wait_for()
+
+    # The cameras, in the same app: for another program, as one file.
+    driver.page.get_by_role("combobox", name="For", exact=True).click()
+    driver.page.get_by_role("option", name="MeshLab (.mlp)").click()
+    driver.page.get_by_text("by padded copies of the photos").wait_for()
+    name, content = downloaded(driver, "Download the cameras")
+    assert name == "cameras-meshlab.zip"
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        archive.extractall(tmp_path)
+    read = read_cameras(tmp_path / "cameras.mlp").cameras
+    for entry in toy_document.photos:
+        assert largest_shift_px(entry.camera, read[entry.name]) < 0.05
+    driver.page.get_by_role("combobox", name="For", exact=True).click()
+    driver.page.get_by_role("option", name="photoreg (JSON)").click()
+    driver.page.get_by_text("It loses nothing.").wait_for()
+    name, content = downloaded(driver, "Download the cameras")
+    assert name == "cameras.json"
+    entries = json.loads(content)["cameras"]
+    assert [e["photo"] for e in entries] == [e.name for e in toy_document.photos]
 
 
 def test_cancel_ends_the_making_of_a_texture(open_app, toy_document):

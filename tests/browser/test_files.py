@@ -1,7 +1,10 @@
 """Files dropped onto the page, or chosen together, with their real bytes."""
 
+import dataclasses
+import io
 import os
 import signal
+import zipfile
 
 import cv2
 import pytest
@@ -9,6 +12,8 @@ import pytest
 from app.opening import open_files
 from app.session import with_document
 from app.state import Document, same_camera
+from photoreg.formats.archives import unzipped
+from photoreg.formats.camera_download import cameras_download
 from photoreg.formats.cameras_json import CameraFile, dump_cameras
 from tests.browser.driver import wait_until
 from tests.browser.own_files import drop
@@ -78,13 +83,13 @@ def test_a_bad_file_among_good_ones_is_told_and_the_others_are_opened(running, f
     drop(
         app.driver,
         {
-            "notes.txt": b"notes",
+            "notes.doc": b"notes",
             "broken.jpg": b"not a picture",
             "b.png": files["b.png"],
             "rock.obj": files["rock.obj"],
         },
     )
-    app.driver.page.get_by_text("notes.txt is not a file photoreg opens").wait_for()
+    app.driver.page.get_by_text("notes.doc is not a file photoreg opens").wait_for()
     app.driver.page.get_by_text("broken.jpg could not be read").wait_for()
     wait_until(lambda: names(app) == ["b.png"] and app.state.job is None, "b is there")
     assert app.state.document.mesh is not None
@@ -137,6 +142,108 @@ def test_a_reader_that_dies_is_told_and_changes_nothing(running, files):
     app.driver.page.get_by_text("Reading was cut short").wait_for()
     wait_until(lambda: app.state.job is None, "nothing is going on any more", 20)
     assert app.state.document is before
+
+
+def with_photos_misplaced(app, toy_document, *photo_names) -> list:
+    """Opens the toy's photos under these names, all with the first one's camera."""
+    first = toy_document.photos[0].camera
+    entries = [
+        dataclasses.replace(
+            entry, photo=dataclasses.replace(entry.photo, name=name), camera=first
+        )
+        for entry, name in zip(toy_document.photos, photo_names, strict=True)
+    ]
+    app.session.change("Begin", with_document(photos=tuple(entries)))
+    return [entry.camera for entry in toy_document.photos]
+
+
+def colmap_files(true, *photo_names) -> bytes:
+    named = dict(zip(photo_names, true, strict=True))
+    return cameras_download("colmap", named, [], with_photos=False).content
+
+
+def test_a_colmap_model_goes_on_here_as_files_and_as_a_zip(
+    running, toy_document, tmp_path
+):
+    app, page = running, running.driver.page
+    app.driver.dismiss_toasts()
+    app.driver.tab("1 Data")
+    true = with_photos_misplaced(app, toy_document, "a.png", "b.png")
+    archive = tmp_path / "model.zip"
+    archive.write_bytes(colmap_files(true, "a.png", "b.png"))
+    parts = unzipped(archive, tmp_path, lambda name: name.endswith(".bin"))
+    assert sorted(p.name for p in parts) == [
+        "cameras.bin",
+        "images.bin",
+        "points3D.bin",
+    ]
+    for chosen, step in ((parts, "Load cameras"), ([archive], "Load model.zip")):
+        before = app.state.document
+        with page.expect_file_chooser() as chooser:
+            app.driver.click("Load cameras …")
+        chooser.value.set_files(chosen)
+        wait_until(
+            lambda: all(
+                same_camera(entry.camera, camera)
+                for entry, camera in zip(app.state.document.photos, true, strict=True)
+            ),
+            "the cameras of COLMAP are in force",
+        )
+        wait_until(lambda: app.state.job is None, "the reading has ended")
+        assert app.state.undo_name == step
+        assert "COLMAP" in app.state.note
+        page.keyboard.press("Control+z")
+        wait_until(
+            lambda before=before: app.state.document is before,
+            "one step back undoes it",
+        )
+
+
+def test_cameras_of_other_photos_are_refused_by_name(running, toy_document):
+    app = running
+    true = with_photos_misplaced(app, toy_document, "a.png", "b.png")
+    before = app.state.document
+    drop(app.driver, {"other.zip": colmap_files(true, "c.png", "d.png")})
+    app.driver.page.get_by_text(
+        "has cameras for c.png, d.png, but the photos"
+    ).wait_for()
+    assert app.state.document is before
+    drop(app.driver, {"images.bin": b"half of a model"})
+    app.driver.page.get_by_text("COLMAP's are cameras and images together").wait_for()
+    drop(app.driver, {"broken.zip": b"PK but no zip"})
+    app.driver.page.get_by_text("it is damaged, or not a zip").wait_for()
+    drop(app.driver, {"half.zip": colmap_files(true, "c.png", "b.png")})
+    wait_until(
+        lambda: same_camera(app.state.document.photos[1].camera, true[1]),
+        "the camera that is there is taken",
+    )
+    assert "1 of 2 photos; a.png kept" in app.state.note
+    kept, old = (document.photos[0].camera for document in (app.state.document, before))
+    assert same_camera(kept, old)
+
+
+def test_a_zip_of_cameras_photos_and_mesh_opens_whole(running, toy_document, files):
+    app = running
+    app.session.change("Begin", with_document(mesh=None, display_mesh=None, photos=()))
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, content in files.items():
+            archive.writestr(f"work/../{name}", content)
+    drop(app.driver, {"work.zip": buffer.getvalue()})
+    wait_until(
+        lambda: (
+            sorted(names(app)) == ["a.png", "b.png"]
+            and all(
+                same_camera(
+                    entry.camera, toy_document.photos["ab".index(entry.name[0])].camera
+                )
+                for entry in app.state.document.photos
+            )
+        ),
+        "mesh, photos and cameras are there",
+    )
+    assert app.state.document.mesh is not None
+    assert app.state.undo_name == "Load work.zip"
 
 
 def test_projects_are_made_and_opened_and_a_moved_file_is_asked_for(

@@ -1,0 +1,87 @@
+"""Several files as one zip: packed for a download, and unpacked within bounds."""
+
+import shutil
+import zipfile
+import zlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from photoreg.errors import InputError, OutputError
+
+COMPRESSED = (".png", ".jpg", ".jpeg", ".glb")
+MAX_MEMBERS = 20_000
+MAX_UNPACKED_BYTES = 8 << 30
+
+
+def zipped(folder: Path, files: Sequence[Path]) -> bytes:
+    """Files of ``folder`` as one zip; pictures, compressed already, are stored."""
+    target = folder / ".download.zip"
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in files:
+            is_compressed = path.suffix.lower() in COMPRESSED
+            archive.write(
+                path,
+                path.relative_to(folder).as_posix(),
+                zipfile.ZIP_STORED if is_compressed else zipfile.ZIP_DEFLATED,
+            )
+    content = target.read_bytes()
+    target.unlink()
+    return content
+
+
+def unzipped(path: Path, folder: Path, wanted: Callable[[str], bool]) -> list[Path]:
+    """Unpacks the wanted files of a zip into ``folder``, in their folders.
+
+    Args:
+        path: The zip.
+        folder: Where they go; nothing is written outside of it.
+        wanted: Told the file name of a member, without its folders, whether to take it.
+
+    Raises:
+        InputError: if it is not a zip, is damaged or encrypted, or holds more than
+            8 GB or 20,000 files.
+        OutputError: if the files cannot be written.
+    """
+    unpacked = []
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = [
+                member
+                for member in archive.infolist()
+                if not member.is_dir() and wanted(_parts(member)[-1])
+            ]
+            if len(archive.infolist()) > MAX_MEMBERS:
+                raise InputError(f"{path.name} holds more than {MAX_MEMBERS:,} files.")
+            if sum(member.file_size for member in members) > MAX_UNPACKED_BYTES:
+                raise InputError(
+                    f"{path.name} would unpack to more than "
+                    f"{MAX_UNPACKED_BYTES >> 30} GB. Give its files instead."
+                )
+            for member in members:
+                target = folder.joinpath(*_parts(member))
+                target.parent.mkdir(parents=True, exist_ok=True)
+                # Never more bytes than announced: zipfile stops there.
+                with archive.open(member) as source, target.open("wb") as file:
+                    shutil.copyfileobj(source, file, 1 << 20)
+                unpacked.append(target)
+    except (zipfile.BadZipFile, zlib.error, EOFError) as error:
+        raise InputError(
+            f"{path.name} could not be unpacked: it is damaged, or not a zip."
+        ) from error
+    except (RuntimeError, NotImplementedError) as error:
+        raise InputError(
+            f"{path.name} is encrypted, or packed in a way that photoreg does not know. "
+            "Unpack it and give its files."
+        ) from error
+    except OSError as error:
+        raise OutputError(
+            f"{path.name} could not be unpacked into {folder}: "
+            f"{error.strerror or error}."
+        ) from error
+    return unpacked
+
+
+def _parts(member: zipfile.ZipInfo) -> list[str]:
+    """Folders and name, none of which leads elsewhere."""
+    parts = member.filename.replace("\\", "/").replace(":", "_").split("/")
+    return [part for part in parts if part not in ("", ".", "..")] or ["file"]
