@@ -63,9 +63,14 @@
   const later = (ms) => new Promise((ok) => setTimeout(ok, ms));
   const input = () => document.getElementById(`file_upload_${photoreg.upload}`);
 
-  photoreg.files = async (files) => {
-    files = [...files];
-    if (!files.length || sending !== null) return;
+  // Files that come while others are still on their way wait for these.
+  let before = Promise.resolve();
+  photoreg.files = (files) => {
+    const batch = [...files];
+    if (batch.length) before = before.then(() => send(batch)).catch(console.error);
+  };
+
+  const send = async (files) => {
     photoreg.send("batch", { files: files.length });
     try {
       for (const file of files) {
