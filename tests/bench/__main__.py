@@ -30,6 +30,7 @@ from tests.bench import (
     page,
     resection,
     speed,
+    texture,
     way,
 )
 from tests.bench.metrics import (
@@ -49,6 +50,7 @@ __all__ = [
     "page",
     "resection",
     "speed",
+    "texture",
     "way",
 ]
 
