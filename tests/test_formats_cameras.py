@@ -489,7 +489,7 @@ def test_noise_is_refused_and_never_crashes(tmp_path, photos, name):
         bad[where] = rng.integers(0, 256, len(where))
         file.write_bytes(bad.tobytes())
         try:
-            read = read_cameras(path, name, cameras.photos.values()).cameras
+            read = read_cameras(path, name, cameras.photos).cameras
         except InputError as error:
             told = str(error)
         else:

@@ -1,4 +1,4 @@
-"""Blender, by bpy in an environment of its own, runs our script and opens our GLB.
+"""Blender, by bpy in an environment of its own, runs our script and opens our GLB and OBJ.
 
 bpy wants another numpy than ours: `make test-interop` keeps it in .venv/blender, and
 PHOTOREG_BLENDER names another Python that has it.
@@ -14,6 +14,7 @@ import pytest
 
 from photoreg.formats.cameras import write_cameras
 from photoreg.formats.glb import save_textured_glb
+from photoreg.formats.obj import save_textured_obj
 from photoreg.texture import TextureConfig, bake_texture
 from tests.camera_files import camera_set, points_before
 from tests.painted import ball_and_moon, cameras_around, photograph
@@ -35,9 +36,13 @@ def test_blender_projects_points_and_opens_the_model_as_photoreg_does(tmp_path):
     photos = [photograph(mesh, c, f"{i}.png") for i, c in enumerate(views)]
     textured = bake_texture(mesh, photos, views, TextureConfig(size=256))
     save_textured_glb(tmp_path / "model.glb", textured)
+    save_textured_obj(tmp_path / "model.obj", textured)
 
     reader = Path(__file__).with_name("blender_reads.py")
-    files = [tmp_path / n for n in ("setup.py", "points.json", "model.glb", "out.json")]
+    files = [
+        tmp_path / n for n in ("setup.py", "points.json", "model.glb", "model.obj")
+    ]
+    files.append(tmp_path / "out.json")
     done = subprocess.run(
         [BLENDER, str(reader), *map(str, files)],
         capture_output=True,
@@ -53,14 +58,15 @@ def test_blender_projects_points_and_opens_the_model_as_photoreg_does(tmp_path):
         assert error < 0.05, (name, error)
         assert read["photo"] == [camera.width, camera.height]
 
-    model = found["model"]
-    assert model["n_faces"] == len(textured.faces)
-    assert model["texture"] == list(textured.texture.shape[1::-1])
-    # glTF is y up, and Blender turns it to its own z up: (x, y, z) to (x, -z, y).
-    x, y, z = np.array(model["vertices"])[: len(textured.vertices)].T
-    back = np.column_stack([x, z, -y])
-    error = np.abs(back - textured.vertices).max()
-    assert error < 1e-5, error
-    uv = np.array(model["uv"]).reshape(-1, 3, 2)
-    error = np.abs(np.sort(uv, axis=1) - np.sort(textured.corner_uv, axis=1)).max()
-    assert error < 1e-5, error
+    for kind in ("glb", "obj"):
+        model = found[kind]
+        assert model["n_faces"] == len(textured.faces)
+        assert model["texture"] == list(textured.texture.shape[1::-1])
+        # Both are y up, and Blender turns them to its own z up: (x, y, z) to (x, -z, y).
+        x, y, z = np.array(model["vertices"])[: len(textured.vertices)].T
+        back = np.column_stack([x, z, -y])
+        error = np.abs(back - textured.vertices).max()
+        assert error < 1e-5, (kind, error)
+        uv = np.array(model["uv"]).reshape(-1, 3, 2)
+        error = np.abs(np.sort(uv, axis=1) - np.sort(textured.corner_uv, axis=1)).max()
+        assert error < 1e-5, (kind, error)
