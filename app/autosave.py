@@ -39,6 +39,7 @@ PASSING = frozenset(
         "run",
         "runs",
         "kept_search",
+        "reach",
         "job",
         "texture",
         "worker",

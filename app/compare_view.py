@@ -3,6 +3,9 @@
 import base64
 import html
 
+from app.messages import PhotoComparison
+from photoreg.inconsistency import TOP_LEVELS
+
 SWIPE_STYLE = """<style>
 .pr-swipe{position:relative;--x:50%;line-height:0;border-radius:6px;overflow:hidden}
 .pr-swipe img{width:100%;display:block}
@@ -34,9 +37,20 @@ def data_uri(jpeg: bytes) -> str:
     return "data:image/jpeg;base64," + base64.b64encode(jpeg).decode()
 
 
-def swipe_html(
-    before: bytes, after: bytes, left: str = "start", right: str = "now"
-) -> str:
+def comparison_html(photo: PhotoComparison, left: str) -> str:
+    """Before and after in one photo: to be swiped, and heat maps beside each other.
+
+    ``left`` says what is before: the start, or another run.
+    """
+    return swipe_html(photo.before, photo.after, left) + beside_html(
+        photo.disagreement_before,
+        photo.disagreement_after,
+        (photo.levels_before, photo.levels_after),
+        left,
+    )
+
+
+def swipe_html(before: bytes, after: bytes, left: str, right: str = "now") -> str:
     """Two pictures with a line between them to be dragged, and a button to blink."""
     return (
         '<div class="pr-swipe">'
@@ -53,7 +67,7 @@ def swipe_html(
 
 
 def beside_html(
-    before: bytes, after: bytes, levels: tuple[float | None, float | None], top: float
+    before: bytes, after: bytes, levels: tuple[float | None, float | None], left: str
 ) -> str:
     """Two heat maps beside each other, and their scale.
 
@@ -61,7 +75,7 @@ def beside_html(
         before: A JPEG file.
         after: Another one.
         levels: Their means, in grey levels.
-        top: Where the colours end, in grey levels.
+        left: What is before.
     """
     words = [
         "nothing shared" if level is None else f"mean {level:.1f} levels"
@@ -70,9 +84,9 @@ def beside_html(
     return (
         '<div class="pr-beside">'
         f'<div><img src="{data_uri(before)}" alt="disagreement before">'
-        f"<span>start: {words[0]}</span></div>"
+        f"<span>{html.escape(left)}: {words[0]}</span></div>"
         f'<div><img src="{data_uri(after)}" alt="disagreement now">'
         f"<span>now: {words[1]}</span></div></div>"
         '<div class="pr-scale"></div><div class="pr-ends"><span>photos agree</span>'
-        f"<span>differ by {top:.0f} of 255 or more</span></div>"
+        f"<span>differ by {TOP_LEVELS:.0f} of 255 or more</span></div>"
     )

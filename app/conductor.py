@@ -8,6 +8,8 @@ import logging
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from app import outcomes
 from app import session as rules
 from app.intake import Intake
@@ -23,9 +25,11 @@ from app.messages import (
     Failed,
     Live,
     Measured,
+    MeasureReach,
     Pack,
     Packed,
     Picture,
+    Reached,
     Ready,
     Refine,
     Refined,
@@ -45,6 +49,7 @@ from app.showing import (
     needs_overlay,
     shown_cameras,
     wanted_comparison,
+    wanted_reach,
     wanted_view,
 )
 from app.solver import Solver
@@ -73,10 +78,13 @@ class Conductor:
         """The newest pictures of the worker, all of them."""
         self.surface_glb: bytes | None = None
         """The newest state of the surface in a run, a GLB file in page axes."""
+        self.cloud: np.ndarray | None = None
+        """Camera centres of the population of a search that runs, (n, c, 3)."""
         self.on_picture: Callable[[], None] = lambda: None
         self.on_problem: Callable[[str], None] = _ignore
         """Called with a sentence for everybody who looks at the page."""
         self._scene_sent: Document | None = None
+        self._reach_asked: MeasureReach | None = None
         self._deliver: Deliver = _drop
         # One lock for both: listeners run under the session's.
         self._lock = session.lock
@@ -190,6 +198,7 @@ class Conductor:
             case Ready():
                 self._set(worker="")
             case Live():
+                self.cloud = event.centers
                 self.session.change(None, lambda state: outcomes.advanced(state, event))
             case SearchKept():
                 self._set(kept_search=event.kept)
@@ -209,6 +218,8 @@ class Conductor:
                 self.on_picture()
             case Checked():
                 self.session.change(None, lambda state: outcomes.checked(state, event))
+            case Reached():
+                self._set(reach=event.reach)
             case Timed():
                 self._set(speed=event.speed)
             case Working():
@@ -242,7 +253,7 @@ class Conductor:
     def _on_death(self, event: Died) -> None:
         log.error("The worker process died (exit code %s)", event.exit_code)
         with self._lock:
-            self._scene_sent = None
+            self._scene_sent = self._reach_asked = None
         state = self.session.state
         job = state.job if self.intake.is_busy else None
         self._set(job=job, worker="Starting the engine again")
@@ -272,9 +283,13 @@ class Conductor:
             return
         if new.document.mesh is None or len(new.document.used) < 2:
             return
-        if not needs_overlay(old, new):
-            return
         with self._lock:
+            reach = wanted_reach(new)
+            if reach is not None and reach != self._reach_asked:
+                self.worker.send(reach)
+                self._reach_asked = reach
+            if not needs_overlay(old, new):
+                return
             self._send_scene(new.document)
             names = tuple(entry.name for entry in new.document.used)
             truth = new.document.true_cameras(names)

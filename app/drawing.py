@@ -56,6 +56,7 @@ class Drawing:
         view: OverlayView,
         truth: tuple[Camera, ...] | None,
         start: tuple[Camera, ...] | None = None,
+        is_passing: bool = False,
     ) -> Picture:
         """The overlay, and what a view through the photo needs beside it.
 
@@ -64,14 +65,18 @@ class Drawing:
             view: What to draw.
             truth: The true cameras, where they are known.
             start: The cameras before, for a line between before and now.
+            is_passing: Whether the next picture is on its way, so that a quick one will
+                do where it looks like a sharp one: 18 ms instead of 46.
         """
         overlay, onto = self._overlay, view.onto % len(cameras)
-        key = (onto, tuple(map(id, cameras)))
+        quick = is_passing and view.style not in ("difference", "edges")
+        key = (onto, quick, tuple(map(id, cameras)))
         if self._pair is None or self._pair[0] != key:
             # A slider of the overlay's asks for the same pair again and again. The
             # cameras are kept with it: ids of living objects do not repeat.
             carried = (onto + 1) % len(cameras)
-            self._pair = (key, overlay.pair(cameras, onto, carried))
+            draw = overlay.quick_pair if quick else overlay.pair
+            self._pair = (key, draw(cameras, onto, carried))
             self._cameras = cameras
         pair = self._pair[1]
         other = normals = lines = None
@@ -174,7 +179,8 @@ class Painter:
         """
 
         def draw() -> Iterator[Event]:
-            yield drawing.picture(cameras, view, truth, start)
+            is_passing = start is not None
+            yield drawing.picture(cameras, view, truth, start, is_passing)
             is_due = time.monotonic() - self._surface_at >= SURFACE_PERIOD_S
             if start is not None and view.surface != "clay" and is_due:
                 self._surface_at = time.monotonic()

@@ -15,6 +15,7 @@ from app.state import (
     ThroughStyle,
 )
 from app.timing import Speed
+from photoreg.box_reach import BoxReach
 from photoreg.camera import Camera
 from photoreg.freedom import Freedom
 from photoreg.mesh import Mesh
@@ -89,6 +90,14 @@ class Compare:
     style: OverlayStyle
     surface: Surface
     """What the object is to show with the cameras after."""
+
+
+@dataclasses.dataclass(frozen=True)
+class MeasureReach:
+    """Tell how far a search with these settings looks, from now on."""
+
+    config: RegistrationConfig
+    freedom: Freedom
 
 
 @dataclasses.dataclass(frozen=True)
@@ -170,6 +179,9 @@ class Live:
     """The cost curve since the last of these."""
     paused_s: float = 0.0
     """Seconds of pauses so far."""
+    centers: np.ndarray | None = None
+    """Camera centres of the best individuals of the population, (n, c, 3) in world
+    axes; None outside the search."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -257,6 +269,13 @@ class Checked:
     readiness: Readiness
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Reached:
+    """How far a search from the cameras on screen looks."""
+
+    reach: BoxReach
+
+
 @dataclasses.dataclass(frozen=True)
 class Timed:
     """How fast this machine is with the scene."""
@@ -314,6 +333,7 @@ Job = (
     | DrawOverlay
     | Refine
     | Compare
+    | MeasureReach
     | Bake
     | Pack
     | OverlayView
@@ -331,6 +351,7 @@ Event = (
     | Refined
     | Compared
     | Checked
+    | Reached
     | Timed
     | Working
     | Baked

@@ -19,7 +19,6 @@ from app.run import CurvePoint, Run
 from app.state import Document, Job, State, same_camera
 from app.timing import seconds_left
 from photoreg.camera import Camera
-from photoreg.events import Finished
 from photoreg.formats.camera_search import find_cameras
 from photoreg.formats.cameras import format_to_read, read_cameras
 
@@ -112,6 +111,7 @@ def advanced(state: State, event: Live) -> State:
         ),
         cameras=tuple(progress.cameras),
         curve=curve,
+        polish_error_px=progress.expected_error_px,
     )
     return dataclasses.replace(state, run=run)
 
@@ -164,10 +164,14 @@ def ended(state: State, event: Refined) -> State:
         run = dataclasses.replace(run, outcome=outcome)
     else:
         state = dataclasses.replace(state, kept_search=None)
+        verdict = finished.verdict
+        sentence = "" if verdict is None else verdict.sentence
         run = dataclasses.replace(
             run,
-            outcome=_in_words(finished),
-            warnings=tuple(finished.warnings),
+            outcome=finished.reason,
+            warnings=tuple(w for w in finished.warnings if w != sentence),
+            grade=None if verdict is None else verdict.grade,
+            verdict=sentence,
             start_cost=finished.start_cost,
             cost=finished.cost,
             elapsed_s=finished.elapsed_s - event.paused_s,
@@ -178,14 +182,6 @@ def ended(state: State, event: Refined) -> State:
             undetermined=tuple(finished.undetermined),
         )
     return kept(state, run)
-
-
-def _in_words(finished: Finished) -> str:
-    """Why it ended, and what to think of it; what is doubted stands in the warnings."""
-    verdict = finished.verdict
-    if verdict is None or not verdict.is_convincing:
-        return finished.reason
-    return f"{finished.reason} {verdict.sentence}"
 
 
 def broken_off(state: State, outcome: str, keep: bool) -> State:

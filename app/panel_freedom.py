@@ -1,16 +1,40 @@
 """The fold of the Refine tab that says what a run may move."""
 
+import dataclasses
+
 import viser
 
 from app.controls import guarded, put, put_value
 from app.session import Session, setting
 from app.state import HeldPart, State
+from photoreg.box_reach import BoxReach
+from photoreg.presets import RegistrationConfig
 
 PARTS: dict[HeldPart, str] = {
     "pose": "Keep place and turn",
     "focal": "Keep focal length",
     "principal_point": "Keep principal point",
 }
+
+
+BOX_PERCENT = (25, 300, 5)
+"""Least, most and step of the box's size, against the preset's."""
+
+
+def box_percent(state: State) -> int:
+    """Size of the box that is set, against the preset's, as the slider shows it."""
+    usual = RegistrationConfig.preset(state.preset).box
+    least, most, step = BOX_PERCENT
+    percent = step * round(100.0 * state.settings.box.focal / usual.focal / step)
+    return min(max(percent, least), most)
+
+
+def reach_words(reach: BoxReach) -> str:
+    """How far off a start may be, in pixels of the photos."""
+    return (
+        f"Looks about {reach.typical_px:.0f} px around the start, and up to "
+        f"{reach.farthest_px:.0f} px."
+    )
 
 
 class FreedomPanel:
@@ -21,6 +45,14 @@ class FreedomPanel:
         self._names: tuple[str, ...] = ()
         self._nodes: list[viser.GuiMarkdownHandle] = []
         self._ticks: dict[tuple[str, HeldPart], viser.GuiCheckboxHandle] = {}
+        self._size = gui.add_slider(
+            "Search box, %",
+            *BOX_PERCENT,
+            100,
+            hint="How far from the start cameras are sought, against the preset's box. "
+            "Wider takes a worse start, and needs a longer search.",
+        )
+        self._reach = gui.add_markdown("")
         self._fold = gui.add_folder("What may move", expand_by_default=False)
         with self._fold:
             gui.add_markdown(
@@ -32,6 +64,16 @@ class FreedomPanel:
                 False,
                 hint="The photos were taken with one camera at one zoom.",
             )
+
+        @self._size.on_update
+        @guarded
+        def _(_: viser.GuiEvent) -> None:
+            state = session.state
+            usual = RegistrationConfig.preset(state.preset)
+            box = usual.box.widened(self._size.value / 100.0)
+            config = dataclasses.replace(state.settings, box=box)
+            if box_percent(state) != self._size.value:
+                session.change(None, setting(config=config))
 
         @self._one_focal.on_update
         @guarded
@@ -45,6 +87,15 @@ class FreedomPanel:
             self._names = names
             self._rebuild()
         put(self._fold, "visible", state.run.status == "idle" and len(names) > 1)
+        is_seen = state.run.status == "idle" and len(names) > 1
+        put(self._size, "visible", is_seen)
+        put(self._reach, "visible", is_seen)
+        put_value(self._size, box_percent(state))
+        put(
+            self._reach,
+            "content",
+            "" if state.reach is None else f"*{reach_words(state.reach)}*",
+        )
         put_value(self._one_focal, state.one_focal)
         for key, tick in self._ticks.items():
             put_value(tick, key in state.held)

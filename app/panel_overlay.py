@@ -7,16 +7,15 @@ import viser
 import viser.uplot
 
 from app.bus import Bus
-from app.compare_view import SWIPE_STYLE, beside_html, swipe_html
+from app.compare_view import SWIPE_STYLE, comparison_html
 from app.conductor import Conductor
 from app.controls import guarded, put, put_value
-from app.messages import Compared, PhotoComparison
+from app.messages import Compared
 from app.run import CurvePoint
 from app.session import setting
 from app.state import State, Surface
 from app.styles import PHOTO_STYLES
 from app.widgets import Choice
-from photoreg.inconsistency import TOP_LEVELS
 
 SURFACES: dict[str, Surface] = {
     "Photos": "photos",
@@ -151,7 +150,10 @@ class OverlayPanel:
         if self._compared is None or self._compared != (compared, onto):
             self._compared = (compared, onto)
             left = f"run {state.compared_with}" if state.compared_with else "start"
-            self._comparison.content = comparison_html(compared.photos[onto], left)
+            self._comparison.content = (
+                f'{SWIPE_STYLE}<div style="margin:0 12px 10px">'
+                f"{comparison_html(compared.photos[onto], left)}</div>"
+            )
 
     def _show_curve(self, curve: tuple[CurvePoint, ...]) -> None:
         if curve is self._curve:
@@ -161,21 +163,6 @@ class OverlayPanel:
             put(node, "visible", len(curve) > 1)
         if len(curve) > 1:
             self._plot.data = curve_arrays(curve)
-
-
-def comparison_html(photo: PhotoComparison, left: str) -> str:
-    """Before and after in one photo: to be swiped, and heat maps beside each other."""
-    return (
-        f'{SWIPE_STYLE}<div style="margin:0 12px 10px">'
-        + swipe_html(photo.before, photo.after, left, "now")
-        + beside_html(
-            photo.disagreement_before,
-            photo.disagreement_after,
-            (photo.levels_before, photo.levels_after),
-            TOP_LEVELS,
-        )
-        + "</div>"
-    )
 
 
 def curve_arrays(curve: tuple[CurvePoint, ...]) -> tuple[np.ndarray, ...]:

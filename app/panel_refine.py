@@ -1,9 +1,12 @@
 """Tab 3, Refine: choose, start, watch, pause, stop; accept or revert."""
 
+import html
+
 import viser
 
 from app.conductor import Conductor
 from app.controls import guarded, guarded_slow, put, put_value
+from app.outcomes import has_moved
 from app.panel_advanced import AdvancedPanel
 from app.panel_freedom import FreedomPanel
 from app.panel_runs import RunsPanel
@@ -13,6 +16,7 @@ from app.state import State
 from app.timing import expected_seconds
 from app.words import in_words, number
 from photoreg.presets import PresetName, RegistrationConfig
+from photoreg.verdict import Grade
 
 PRESETS: dict[str, PresetName] = {name: key for key, name in PRESET_NAMES.items()}
 PRESET_HELP: dict[PresetName, str] = {
@@ -20,6 +24,13 @@ PRESET_HELP: dict[PresetName, str] = {
     "fast": "A short search and polish, for a first look.",
     "thorough": "A wider search, for very rough starts.",
     "paper": "The genetic algorithm of the paper alone, as published.",
+}
+
+
+VERDICTS: dict[Grade, tuple[str, str]] = {
+    "convincing": ("#2dbeaf", "✓"),
+    "plausible": ("#e8a33d", "≈"),
+    "unconvincing": ("#e5484d", "✗"),
 }
 
 
@@ -56,6 +67,7 @@ class RefinePanel:
             visible=False,
         )
         self._bar = gui.add_progress_bar(0.0, visible=False, animated=True)
+        self._verdict = gui.add_html("", visible=False)
         self._accept = gui.add_button(
             "Accept", icon=viser.Icon.CHECK, color="teal", visible=False
         )
@@ -136,10 +148,26 @@ class RefinePanel:
             put(button, "visible", review)
         put(self._on, "visible", state.can_go_on)
         put(self._report, "disabled", self._conductor.refinement.comparison is None)
+        put(self._verdict, "visible", review and bool(run.verdict))
+        put(self._verdict, "content", verdict_html(run))
         put(self._text, "content", _report(state, ready))
         self._freedom.show(state)
         self._runs.show(state)
         self._advanced.show(state)
+
+
+def verdict_html(run: Run) -> str:
+    """How far the answer is to be believed, in a box of its own colour."""
+    if run.grade is None:
+        return ""
+    colour, sign = VERDICTS[run.grade]
+    word, _, reason = run.verdict.partition(": ")
+    return (
+        f'<div style="margin:2px 12px 8px;padding:8px 11px;border-radius:7px;'
+        f"border-left:4px solid {colour};background:{colour}22;font-size:13px;"
+        f'line-height:1.4"><b style="color:{colour}">{sign} {html.escape(word)}</b><br>'
+        f"{html.escape(reason[:1].upper() + reason[1:])}</div>"
+    )
 
 
 def _preset_help(state: State) -> str:
@@ -189,7 +217,13 @@ def _report(state: State, ready: bool) -> str:
 def _outcome(run: Run) -> str:
     took = f" {run.elapsed_s:.1f} s." if run.elapsed_s > 0 else ""
     warnings = "".join(f"\n\n⚠ {warning}" for warning in run.warnings)
-    return f"**Run {run.number}. {run.outcome}**{took}{warnings}"
+    advice = ""
+    if not has_moved(run):
+        advice = (
+            "\n\nThe cameras are as they were. Align them more closely in tab 2, or try "
+            "Thorough."
+        )
+    return f"**Run {run.number}.** {run.outcome}{took}{advice}{warnings}"
 
 
 def _progress(run: Run) -> str:
@@ -217,6 +251,8 @@ def _table(run: Run) -> str:
         )
     if run.expected_error_px is not None:
         rows.append(("Expected error", "", f"{run.expected_error_px:.2f} px"))
+    elif run.is_active:
+        rows.append(("Expected error", "", "known in the polish"))
     if run.start_cost is not None and run.cost is not None:
         rows.append(("Cost", number(run.start_cost), number(run.cost)))
     elif run.curve:
@@ -236,5 +272,8 @@ def _certainty(run: Run) -> str:
     text = f"\n\n**How sure**\n{sure}"
     if run.undetermined:
         weak = "".join(f"\n- {sentence}" for sentence in run.undetermined)
-        text += f"\n\n**Badly determined**\n{weak}"
+        text += (
+            f"\n\n**Badly determined**\n{weak}\n\n*If you know one of these, set it in "
+            "tab 2 and tick it under What may move; a photo from another side helps too.*"
+        )
     return text

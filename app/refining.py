@@ -20,7 +20,7 @@ from app.messages import (
     SearchKept,
     Stop,
 )
-from app.run import KeptSearch
+from app.run import CurvePoint, KeptSearch
 from photoreg.camera import Camera
 from photoreg.checkpoint import Checkpoint
 from photoreg.mesh import Mesh
@@ -31,6 +31,9 @@ PICTURE_PERIOD_S = 0.18
 """Time between overlay pictures during a refinement: five and a half a second."""
 
 LIVE_PERIOD_S = 0.08
+CLOUD = 80
+"""Individuals whose camera centres are shown."""
+
 KEEP_PERIOD_S = 1.0
 """Time between states that a run can go on from: 2 ms each, 60 to 200 KB."""
 
@@ -86,7 +89,7 @@ class Refining:
             curve.extend(self._costs.points(event))
             self._keep(event, now)
             if now - sent_at >= LIVE_PERIOD_S:
-                self._send(Live(_light(event), tuple(curve), self._paused_s))
+                self._send(self._live(event, curve))
                 sent_at = now
                 curve.clear()
             if now - judged_at >= JUDGE_PERIOD_S:
@@ -95,7 +98,7 @@ class Refining:
             if self._must_stop(messages):
                 break
         if last is not None:
-            self._send(Live(_light(last), tuple(curve), self._paused_s))
+            self._send(self._live(last, curve))
         self._measure(self._best)
         self._painter.finish()
         self._send(
@@ -103,6 +106,12 @@ class Refining:
         )
         error = true_error(self._mesh, job.truth, self._best)
         self._send(Refined(self._best, finished, start_error, error, self._paused_s))
+
+    def _live(self, event: Progress, curve: list[CurvePoint]) -> Live:
+        centers = None
+        if event.population is not None:
+            centers = event.population.centers(CLOUD).astype(np.float32)
+        return Live(_light(event), tuple(curve), self._paused_s, centers)
 
     def _keep(self, event: Progress, now: float) -> None:
         """Sends where the run can go on, every so often and where the polish begins."""

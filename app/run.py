@@ -9,6 +9,7 @@ from typing import Literal
 from photoreg.camera import Camera
 from photoreg.freedom import Freedom
 from photoreg.presets import PresetName, RegistrationConfig
+from photoreg.verdict import Grade
 
 Status = Literal["idle", "starting", "running", "paused", "stopping", "review"]
 
@@ -92,6 +93,12 @@ class Run:
     error_px: float | None = None
     expected_errors_px: tuple[float | None, ...] = ()
     """How far off each camera is to be expected, in pixels; empty where unknown."""
+    polish_error_px: float | None = None
+    """Mean of the same while the run goes on, as its polish tells; None before."""
+    grade: Grade | None = None
+    """How far the answer is to be believed; None where nothing is known of it."""
+    verdict: str = ""
+    """The same in a sentence."""
     is_unwanted: bool = False
     """Stopped to be reverted: it is kept in the list only."""
     outcome: str = ""
@@ -129,4 +136,4 @@ class Run:
     def expected_error_px(self) -> float | None:
         """Mean of the expected errors, None where nothing is known."""
         known = [error for error in self.expected_errors_px if error is not None]
-        return sum(known) / len(known) if known else None
+        return sum(known) / len(known) if known else self.polish_error_px

@@ -8,13 +8,12 @@ import platform
 import string
 from typing import Any
 
-from app.compare_view import SWIPE_STYLE, beside_html, swipe_html
+from app.compare_view import SWIPE_STYLE, comparison_html
 from app.messages import Compared
 from app.opening import static_folder
 from app.run import CurvePoint, Run
 from app.state import State
 from app.words import number
-from photoreg.inconsistency import TOP_LEVELS
 from photoreg.presets import RegistrationConfig
 
 PROGRAMS = ("photoreg", "numpy", "numba", "opencv-python-headless", "scipy")
@@ -29,14 +28,7 @@ def report_html(state: State, compared: Compared) -> str:
     template = (static_folder() / "compare.html").read_text(encoding="utf-8")
     pictures = "".join(
         f"<h3>{html.escape(photo.carried)} carried over the surface onto "
-        f"{html.escape(photo.name)}</h3>"
-        + swipe_html(photo.before, photo.after, left, "now")
-        + beside_html(
-            photo.disagreement_before,
-            photo.disagreement_after,
-            (photo.levels_before, photo.levels_after),
-            TOP_LEVELS,
-        )
+        f"{html.escape(photo.name)}</h3>" + comparison_html(photo, left)
         for photo in compared.photos
     )
     return string.Template(template).substitute(
@@ -45,7 +37,7 @@ def report_html(state: State, compared: Compared) -> str:
             f"{mesh.name if mesh is not None else ''} · {run.began} · "
             f"{run.settings_name}"
         ),
-        outcome=html.escape(run.outcome),
+        outcome=html.escape(f"{run.outcome} {run.verdict}"),
         warnings=_list([f"⚠ {warning}" for warning in run.warnings]),
         style=SWIPE_STYLE,
         pictures=pictures,

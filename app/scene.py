@@ -17,6 +17,10 @@ from app.state import State
 from photoreg.mesh import Mesh
 
 CLAY = (160, 132, 108)
+CLOUD_COLOUR = (232, 163, 61)
+CLOUD_SIZE = 0.014
+"""In units of the page, where the object is 2 across."""
+
 LINE_COLOUR = (255, 64, 190)
 SORTED_DEG = 12.0
 """The order of the faces holds for views this near to the one it was made for."""
@@ -51,6 +55,8 @@ class Scene:
         self._segments: np.ndarray | None = None
         self.gizmos = Gizmos(scene)
         self.frusta = Frusta(server)
+        self._cloud: viser.PointCloudHandle | None = None
+        self._cloud_of: np.ndarray | None = None
 
     def show(self, state: State, lines: np.ndarray | None = None) -> None:
         """Makes the nodes as ``state`` has them; sends only what changed.
@@ -139,6 +145,31 @@ class Scene:
                 self._lines.points = points
         if self._lines is not None:
             put(self._lines, "visible", wanted)
+
+    def show_cloud(self, centers: np.ndarray | None) -> None:
+        """Shows where the individuals of a search have their cameras.
+
+        ``centers`` are (n, c, 3) in world axes; None: there is no search.
+        """
+        if centers is self._cloud_of:
+            return
+        self._cloud_of = centers
+        if centers is None:
+            if self._cloud is not None:
+                self._cloud.remove()
+                self._cloud = None
+            return
+        points = self.frame.to_page(centers.reshape(-1, 3)).astype(np.float32)
+        if self._cloud is not None and self._cloud.points.shape == points.shape:
+            self._cloud.points = points
+            return
+        self._cloud = self._server.scene.add_point_cloud(
+            "/cameras/population",
+            points,
+            CLOUD_COLOUR,
+            point_size=CLOUD_SIZE,
+            point_shape="circle",
+        )
 
     def show_surface(self, glb: bytes | None) -> None:
         """Shows the surface of a run; the node before stays until the next one comes.

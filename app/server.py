@@ -237,6 +237,7 @@ class Page:
                 self.server.scene.set_background_image(backdrop(state.dark))
             drawn = self.conductor.drawn
             self.scene.show(state, None if drawn is None else drawn.lines)
+            self.scene.show_cloud(self.conductor.cloud if state.run.is_active else None)
             self.scene.show_surface(self.conductor.surface_glb)
             put(self._status, "content", status_line(state, is_kept))
             put(self._meter, "content", meter_html(state))

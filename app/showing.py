@@ -1,6 +1,6 @@
 """Which pictures of the photos go with a state: what the worker is asked to draw."""
 
-from app.messages import Compare, OverlayView
+from app.messages import Compare, MeasureReach, OverlayView
 from app.state import State, same_camera
 from photoreg.camera import Camera
 
@@ -33,6 +33,13 @@ def needs_overlay(old: State, new: State) -> bool:
         or old.run.is_active
         or not _same_cameras(shown_cameras(new), shown_cameras(old))
     )
+
+
+def wanted_reach(state: State) -> MeasureReach | None:
+    """What the next run's reach depends on beside the cameras; None without two."""
+    if state.document.mesh is None or len(state.document.used) < 2:
+        return None
+    return MeasureReach(state.settings, state.freedom)
 
 
 def wanted_comparison(state: State) -> Compare | None:

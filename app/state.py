@@ -12,6 +12,7 @@ import numpy as np
 from app.masks import decode_mask, encode_mask
 from app.run import KeptSearch, Run
 from app.timing import Speed
+from photoreg.box_reach import BoxReach
 from photoreg.camera import Camera
 from photoreg.formats.cameras import FormatName
 from photoreg.formats.pictures import PictureKind
@@ -284,6 +285,8 @@ class State:
     """Of the last run: its newest state, unless it came to its end by itself."""
     readiness: Readiness | None = None
     """Whether a refinement from the cameras on screen can work; None: not yet known."""
+    reach: BoxReach | None = None
+    """How far the next run looks around the start; None: not known yet."""
     speed: Speed | None = None
     """How fast this machine refines the scene; None: not measured yet."""
     compared_with: int = 0

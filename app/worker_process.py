@@ -23,9 +23,11 @@ from app.messages import (
     Failed,
     Job,
     Measured,
+    MeasureReach,
     OverlayView,
     Pack,
     Pause,
+    Reached,
     Ready,
     Refine,
     Resume,
@@ -37,6 +39,7 @@ from app.messages import (
 from app.refining import Refining
 from app.timing import measure_speed
 from app.warm_up import warm_up_steps
+from photoreg.box_reach import box_reach
 from photoreg.camera import Camera
 from photoreg.errors import PhotoregError
 from photoreg.mesh import Mesh
@@ -72,6 +75,9 @@ class WorkerProcess:
         self._painter = Painter(self._send)
         self._baker = Baker()
         self._unchecked: tuple[Camera, ...] | None = None
+        self._unreached: tuple[Camera, ...] | None = None
+        self._cameras: tuple[Camera, ...] | None = None
+        self._reach_of: MeasureReach | None = None
         self._untimed: tuple[Camera, ...] | None = None
         self._is_timed = self._may_time = False
         self._backlog: list[Job] = []
@@ -119,13 +125,14 @@ class WorkerProcess:
                 self._mesh, self._photos = job.mesh, masked_photos(job)
                 self._drawing = self._judge = None
                 self._unchecked = self._untimed = None
+                self._cameras = self._unreached = None
                 self._is_timed = False
             case DrawOverlay():
                 newer = self._newer_overlay(job)
                 # The number first, it is there in no time; the picture on its thread,
                 # so that the next number need not wait for it.
                 self._measure(newer.cameras)
-                self._unchecked = newer.cameras
+                self._unchecked = self._unreached = self._cameras = newer.cameras
                 self._painter.offer(
                     self._its_drawing(), newer.cameras, newer.view, newer.truth
                 )
@@ -136,6 +143,8 @@ class WorkerProcess:
             case Pack():
                 self._send(Working("Packing the files", 0.5))
                 self._send(self._baker.pack(job.choice))
+            case MeasureReach():
+                self._reach_of, self._unreached = job, self._cameras
             case Compare():
                 self._compare(job)
             case OverlayView() | Stop() | Pause() | Resume():
@@ -198,6 +207,18 @@ class WorkerProcess:
             readiness = check_readiness(self._scene_mesh(), self._photos, cameras)
             self._send(Checked(cameras, readiness))
             self._untimed = cameras if readiness.is_possible else None
+        if self._unreached is not None and self._reach_of is not None:
+            cameras, self._unreached = self._unreached, None
+            wanted, config = self._reach_of, self._reach_of.config
+            reach = box_reach(
+                self._scene_mesh(),
+                cameras,
+                config.box,
+                config.camera_model,
+                config.coordinates,
+                wanted.freedom,
+            )
+            self._send(Reached(reach))
         if self._may_time and self._untimed is not None and not self._is_timed:
             speed = measure_speed(
                 self._scene_mesh(),

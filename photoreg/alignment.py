@@ -236,7 +236,8 @@ def _better_end(
         start_disagreement=before,
         warnings=(
             *latest.warnings,
-            "The polish found nothing better; the cameras are as they came.",
+            "The polish found nothing better; the cameras are as they came. Where the "
+            "overlay is off, align them more closely, or try the preset thorough.",
         ),
     )
 
@@ -252,11 +253,14 @@ def _missing(
         if config.use_colour and i not in compared and len(photos) > 1:
             warnings.append(
                 f"{photo.name} shares too little visible surface with the other photos: "
-                "its colours were not compared."
+                "its colours were not compared. Align it more closely, or add a photo "
+                "from between."
             )
         if config.use_silhouette and i not in drawn:
             warnings.append(
-                f"{photo.name} shows no outline of the mesh that could be used."
+                f"{photo.name} shows no outline of the mesh that could be used, so colour "
+                "alone holds its camera. Where the overlay is off, add a photo that "
+                "shows the object's rim."
             )
     return tuple(warnings)
 

@@ -72,6 +72,26 @@ class LiveOverlay:
             )
         self.mesh = mesh.decimated(LIVE_MAX_FACES)
         self.photos = tuple(photo.resized(max_side_px) for photo in photos)
+        self._quick = tuple(photo.resized(max_side_px // 2) for photo in photos)
+
+    def quick_pair(
+        self, cameras: Sequence[Camera], onto: int, carried: int
+    ) -> AlignedPair:
+        """As ``pair``, with the carried photo at half the resolution: a quarter the time.
+
+        The photo underneath is as sharp as ever. For looking at while cameras move; a
+        difference of the two would show the loss of sharpness.
+        """
+        below = self.photos[onto]
+        picture, seen = _carry(
+            self.mesh, self._quick[carried], cameras[carried],
+            _sized_like(cameras[onto], self._quick[onto]),
+        )  # fmt: skip
+        size = (below.width, below.height)
+        grown = cv2.resize(picture, size, interpolation=cv2.INTER_LINEAR)
+        # Linear, so that no unseen black is mixed into what counts as seen.
+        whole = cv2.resize(255 * seen.astype(np.uint8), size) == 255
+        return AlignedPair(below.pixels, grown, whole)
 
     def pair(self, cameras: Sequence[Camera], onto: int, carried: int) -> AlignedPair:
         """Photo ``carried`` as seen from the camera of photo ``onto``.

@@ -16,11 +16,11 @@ from app.conductor import Conductor
 from app.opening import demo_folder, open_folder
 from app.projects import Projects
 from app.server import Page
-from app.session import Session
+from app.session import Session, setting
 from tests.browser.driver import Driver, launch, wait_until
 
 FOLDER = Path(__file__).parents[1] / "docs"
-MAX_BYTES = 350_000
+MAX_BYTES = 250_000
 """Pictures above this are reduced to 256 colours."""
 
 
@@ -47,6 +47,7 @@ def drive(
             browser = launch(playwright)
             window = browser.new_page(viewport={"width": 1280, "height": 800})
             take_all(session, Driver(window, f"http://127.0.0.1:{page.port}"))
+            refinement(session, Driver(window, f"http://127.0.0.1:{page.port}"))
             browser.close()
     finally:
         page.close()
@@ -85,6 +86,33 @@ def take_all(session: Session, driver: Driver) -> None:
     wait_until(lambda: session.state.texture is not None, "the texture is made", 300)
     driver.frames(10)
     picture(driver, "4-export")
+
+
+def refinement(session: Session, driver: Driver) -> None:
+    """The running refinement at its start, its middle and its end, dark and light."""
+    driver.tab("3 Refine")
+    rough = open_folder(demo_folder())
+    for theme, dark in (("dark", True), ("light", False)):
+        session.begin(rough)
+        session.change(None, setting(dark=dark, preset="thorough"))
+        wait_until(lambda: session.state.reach is not None, "the reach is known")
+        driver.frames(10)
+        driver.click("Refine")
+        wait_until(lambda: session.state.run.generation > 15, "it searches", 300)
+        picture(driver, f"refine-start-{theme}", settle=False)
+        wait_until(
+            lambda: (
+                session.state.run.phase == "polish" and session.state.run.fraction > 0.5
+            ),
+            "the polish is under way",
+            300,
+        )
+        picture(driver, f"refine-middle-{theme}", settle=False)
+        wait_until(lambda: session.state.run.status == "review", "the run ends", 300)
+        driver.page.get_by_role("button", name="Blink").wait_for()
+        picture(driver, f"refine-end-{theme}")
+        driver.click("Revert")
+    session.change(None, setting(dark=True))
 
 
 def picture(driver: Driver, name: str, settle: bool = True) -> None:

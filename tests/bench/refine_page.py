@@ -1,0 +1,184 @@
+"""A refinement on the page: how soon it is seen, how often, and what watching costs."""
+
+import statistics
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from playwright.sync_api import sync_playwright
+
+from app.conductor import Conductor
+from app.drawing import Drawing, Painter
+from app.messages import Live, OverlayView, Refine
+from app.opening import demo_folder, open_folder
+from app.refining import Refining
+from app.server import Page
+from app.session import Session, setting
+from app.state import State
+from photoreg.presets import RegistrationConfig
+from tests.bench.metrics import Metric, Setting, bench
+from tests.browser.driver import Driver, launch, wait_until
+
+N_STARTS = 5
+N_ROUNDS = 5
+
+_WATCH = """() => {
+  const image = document.querySelector('img[src^="blob:"]');
+  window.pictures = [];
+  new MutationObserver(() => pictures.push(Date.now()))
+    .observe(image, {attributes: true, attributeFilter: ['src']});
+}"""
+
+
+class _NoPictures(Painter):
+    """Draws nothing: what a search takes that nobody watches."""
+
+    def offer(self, *_: Any, **__: Any) -> None:
+        """Passes it over."""
+
+
+@bench
+def refine_page(setting: Setting) -> Iterator[Metric]:
+    """The demo, refined in a window of software WebGL, and in this process."""
+    del setting
+    yield from _slowdown()
+    session = Session(State(document=open_folder(demo_folder())))
+    conductor = Conductor(session)
+    served = Page(session, conductor, port=0, shadows=False)
+    try:
+        with sync_playwright() as playwright:
+            browser = launch(playwright)
+            window = browser.new_page(viewport={"width": 1100, "height": 700})
+            driver = Driver(window, f"http://127.0.0.1:{served.port}")
+            wait_until(lambda: not session.state.worker, "the engine is warm", 300)
+            wait_until(lambda: session.state.speed is not None, "it is timed", 300)
+            yield from _watching(session, conductor, driver)
+            browser.close()
+    finally:
+        served.close()
+        conductor.close()
+
+
+def _watching(
+    session: Session, conductor: Conductor, driver: Driver
+) -> Iterator[Metric]:
+    """First update after the click, pictures a second, round trips meanwhile."""
+    driver.dismiss_toasts()
+    driver.tab("3 Refine")
+    driver.page.evaluate(_WATCH)
+    refine = driver.page.get_by_role("button", name="Refine", exact=True)
+    session.change(None, setting(preset="thorough"))
+    first_ms, rates, trips_ms = [], [], []
+    for _ in range(N_STARTS):
+        driver.frames(3)
+        box = refine.bounding_box()
+        assert box is not None
+        updated = []
+        leave = session.listen(
+            lambda old, new, updated=updated: (
+                updated.append(time.time())
+                if new.run.curve and not old.run.curve
+                else None
+            )
+        )
+        began = time.time()
+        driver.page.mouse.click(
+            box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        )
+        wait_until(lambda updated=updated: updated, "a first update")
+        leave()
+        first_ms.append(1e3 * (updated[0] - began))
+        driver.page.evaluate("() => { pictures.length = 0; }")
+        since = time.time()
+        while time.time() - since < 3.0 and session.state.run.is_active:
+            asked = time.perf_counter()
+            session.change(
+                None, setting(mesh_opacity=0.5 + 0.001 * (len(trips_ms) % 100))
+            )
+            driver.page.evaluate("() => 0")
+            trips_ms.append(1e3 * (time.perf_counter() - asked))
+            driver.page.wait_for_timeout(40)
+        pictures = driver.page.evaluate("() => pictures")
+        if len(pictures) > 2:
+            rates.append(1e3 * (len(pictures) - 1) / (pictures[-1] - pictures[0]))
+        conductor.refinement.stop(revert=True)
+        wait_until(lambda: session.state.run.status == "idle", "it stops")
+    note = f"n={len(first_ms)}"
+    yield Metric(
+        "refine_page.first_update.median",
+        statistics.median(first_ms), "ms", "lower", 500.0, 1.0, note,
+    )  # fmt: skip
+    yield Metric(
+        "refine_page.first_update.worst", max(first_ms), "ms", "lower", None, 2.0, note
+    )
+    yield Metric(
+        "refine_page.overlay_rate.median",
+        statistics.median(rates), "1/s", "higher", 5.0, 0.25,
+        "1024 px, as the browser gets them",
+    )  # fmt: skip
+    note = f"n={len(trips_ms)}; a change of the state and an answer of the browser"
+    for name, share in (("median", 0.5), ("p95", 0.95)):
+        yield Metric(
+            f"refine_page.round_trip.{name}",
+            float(np.quantile(trips_ms, share)), "ms", "lower", None, 1.0, note,
+        )  # fmt: skip
+
+
+def _slowdown() -> Iterator[Metric]:
+    """Seconds of a search that is watched, over those of one that is not; in turn."""
+    document = open_folder(demo_folder())
+    mesh, photos = document.mesh, tuple(entry.photo for entry in document.used)
+    assert mesh is not None
+    drawing = Drawing(mesh, photos)
+    job = Refine(
+        document.used_cameras,
+        RegistrationConfig.preset("thorough"),
+        OverlayView("blend", 0, surface="photos"),
+        document.true_cameras([entry.name for entry in document.used]),
+    )
+
+    def search_s(painter: Painter) -> float:
+        times: list[float] = []
+
+        def send(event: Any) -> None:
+            if isinstance(event, Live) and event.progress.phase == "search":
+                times.append(event.progress.elapsed_s)
+
+        def messages(_: bool) -> Iterator[Any]:
+            if len(times) > 1 and times[-1] > 4.0:
+                raise _EnoughError
+            yield from ()
+
+        counts: list[int] = []
+        work = Refining(
+            job, mesh, photos, drawing, painter, lambda _: None,
+            lambda event: (send(event), counts.append(_evaluations(event)))[0],
+        )  # fmt: skip
+        try:
+            work.run(messages)
+        except _EnoughError:
+            painter.finish()
+        known = [count for count in counts if count > 0]
+        return (times[-1] - times[0]) / (known[-1] - known[0])
+
+    watched, alone = Painter(lambda _: None), _NoPictures(lambda _: None)
+    search_s(watched)
+    ratios = []
+    for _ in range(N_ROUNDS):
+        without = search_s(alone)
+        ratios.append(search_s(watched) / without - 1.0)
+    yield Metric(
+        "refine_page.slowdown.median",
+        100.0 * statistics.median(ratios), "%", "lower", 10.0, 1.0,
+        f"n={len(ratios)}; of the search, by pictures and surface",
+    )  # fmt: skip
+
+
+class _EnoughError(Exception):
+    """The search has run for long enough."""
+
+
+def _evaluations(event: Any) -> int:
+    is_search = isinstance(event, Live) and event.progress.phase == "search"
+    return event.progress.evaluations if is_search else 0
