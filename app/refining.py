@@ -99,6 +99,8 @@ class Refining:
                 break
         if last is not None:
             self._send(self._live(last, curve))
+            if finished is None:
+                self._keep(last, np.inf)
         self._measure(self._best)
         self._painter.finish()
         self._send(

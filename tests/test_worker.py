@@ -242,7 +242,7 @@ def test_a_run_that_was_stopped_goes_on_to_the_answer_of_one_without_a_break(
     state = wait(conductor, lambda s: s.run.status == "review", "it ends")
     assert not state.can_go_on, "it came to its end"
     assert len(state.runs) == 1
-    assert "generation 1 of 80" not in steps, "what was done is not done again"
+    assert "generation 0 of 80" not in steps, "what was done is not done again"
     names = [point.step for point in state.run.curve]
     assert names == sorted(set(names)), "the curve goes on where it was"
     *_, last = refine(scene.mesh, scene.photos, state.run.start, config)

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from app.outcomes import has_moved
-from app.session import setting
+from app.run import PRESET_NAMES
+from app.session import looking_at, setting
 from app.state import Document, PhotoEntry
-from photoreg.presets import PresetName
+from photoreg.box_reach import box_reach
+from photoreg.presets import PresetName, RegistrationConfig
 from photoreg.synthetic import SceneOptions, make_scene
 from tests.browser.driver import Driver, wait_until
 
@@ -166,3 +168,74 @@ def test_a_killed_worker_costs_no_work_and_the_next_run_ends(app):
     to_its_end(app)
     drop(app)
     assert "died" not in app.state.runs[-1].outcome
+
+
+def test_a_page_that_is_closed_stops_nothing_and_shows_the_run_when_it_comes_back(app):
+    start(app)
+    window = app.driver.page
+    window.goto("about:blank")
+    n_points = len(app.state.run.curve)
+    app.conductor.refinement.resume()
+    wait_until(lambda: len(app.state.run.curve) > n_points + 2, "it goes on unseen")
+    app.conductor.refinement.pause()
+    app.driver = Driver(window, f"http://127.0.0.1:{app.page.port}")
+    app.driver.dismiss_toasts()
+    app.driver.tab("3 Refine")
+    window.get_by_text("Paused: generation").wait_for()
+    drop(app)
+
+
+def test_each_preset_is_chosen_by_its_plain_name_and_the_box_is_told_in_pixels(app):
+    window = app.driver.page
+    reaches = {}
+    for preset, name in (*PRESET_NAMES.items(), ("default", "Standard")):
+        window.get_by_label("Thoroughness").click()
+        window.get_by_role("option", name=name, exact=True).click()
+        wait_until(lambda preset=preset: app.state.preset == preset, name)
+        assert app.state.settings == RegistrationConfig.preset(preset)
+        config = app.state.settings
+        expected = box_reach(
+            app.state.document.mesh,
+            app.state.document.used_cameras,
+            config.box,
+            config.camera_model,
+            config.coordinates,
+        )
+        wait_until(lambda e=expected: app.state.reach == e, "the reach is measured")
+        window.get_by_text(f"Looks about {expected.typical_px:.0f} px").wait_for()
+        reaches[preset] = expected.typical_px
+    assert reaches["thorough"] > 1.5 * reaches["default"]
+
+
+def test_the_report_swipes_without_a_server_and_loads_nothing(app, chromium, tmp_path):
+    last = next(run for run in reversed(app.state.runs) if has_moved(run))
+    app.session.change(None, looking_at(last.number))
+    wait_until(lambda: app.conductor.refinement.comparison is not None, "it is drawn")
+    with app.driver.page.expect_download() as download:
+        app.driver.click("Download report")
+    path = tmp_path / "report.html"
+    download.value.save_as(path)
+    drop(app)
+    context = chromium.new_context(offline=True)
+    try:
+        page, asked = context.new_page(), []
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto(path.as_uri())
+        page.wait_for_load_state("load")
+        line = page.locator(".pr-swipe input").first
+        line.scroll_into_view_if_needed()
+        box = line.bounding_box()
+        assert box is not None
+        shown = page.screenshot()
+        page.mouse.click(box["x"] + 0.2 * box["width"], box["y"] + 0.5 * box["height"])
+        place = line.evaluate("e => e.parentNode.style.getPropertyValue('--x')")
+        assert 15.0 < float(place.removesuffix("%")) < 25.0, place
+        assert page.screenshot() != shown, "the line moves"
+        n_pictures = page.evaluate(
+            "() => [...document.images].filter(i => i.naturalWidth > 50).length"
+        )
+        assert n_pictures == 8, "before and after, and two heat maps, of each photo"
+        foreign = [url for url in asked if not url.startswith("data:")]
+        assert foreign == [path.as_uri()]
+    finally:
+        context.close()
