@@ -286,7 +286,12 @@ def load_mesh(path: Path | str) -> Mesh:
         corner_uv = None
         if np.array_equal(split.vertices[split.faces], vertices[faces]):
             corner_uv = _corner_uv(split)
-    normals, colours = _vertex_normals(loaded), _vertex_colours(loaded)
+    if path.suffix.lower() == ".ply" and corner_uv is not None:
+        vertices, faces = _as_in_ply(loaded, vertices, faces)
+    normals = _vertex_normals(loaded, len(vertices))
+    colours = _vertex_colours(loaded)
+    if colours is not None and len(colours) != len(vertices):
+        colours = None
     if path.suffix.lower() == ".stl":
         # An STL repeats each corner; the same position is the same vertex.
         vertices, index = np.unique(vertices, axis=0, return_inverse=True)
@@ -303,7 +308,7 @@ def _read(path: Path, maintain_order: bool = True) -> trimesh.Trimesh:
     try:
         loaded = trimesh.load(path, process=False, maintain_order=maintain_order)
         if isinstance(loaded, trimesh.Scene):
-            loaded = loaded.to_mesh()
+            loaded = _joined(loaded)
     except MemoryError:
         raise
     except Exception as error:
@@ -318,6 +323,48 @@ def _read(path: Path, maintain_order: bool = True) -> trimesh.Trimesh:
             "a surface. Triangulate the point cloud first."
         )
     return loaded
+
+
+def _joined(scene: trimesh.Scene) -> trimesh.Trimesh:
+    """All of a scene as one mesh, with the normals of the file, which trimesh drops."""
+    joined = scene.to_mesh()
+    places, normals = [], []
+    for node in scene.graph.nodes_geometry:
+        matrix, name = scene.graph[node]
+        part: Any = scene.geometry[name]
+        own = part._cache.cache.get("vertex_normals")
+        if own is None:
+            return joined
+        places.append(part.vertices @ matrix[:3, :3].T + matrix[:3, 3])
+        normals.append(_unit_rows(own @ np.linalg.pinv(matrix[:3, :3])))
+    if places:
+        together = np.concatenate(places)
+        if together.shape == joined.vertices.shape and np.allclose(
+            together, joined.vertices
+        ):
+            joined.vertex_normals = np.concatenate(normals)
+    return joined
+
+
+def _as_in_ply(
+    loaded: trimesh.Trimesh, vertices: np.ndarray, faces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces of the file: trimesh doubles vertices along texture seams."""
+    raw: Any = loaded.metadata.get("_ply_raw", {})
+    try:
+        table, lists = raw["vertex"]["data"], raw["face"]["data"]
+        corners = next(
+            lists[name]["f1"]
+            for name in ("vertex_indices", "vertex_index")
+            if name in lists.dtype.names
+        )
+        own = np.column_stack([np.ravel(table[axis]) for axis in "xyz"])
+        same = corners.shape == faces.shape and np.array_equal(
+            own[corners], vertices[faces]
+        )
+    except (KeyError, TypeError, IndexError, AttributeError, StopIteration, ValueError):
+        return vertices, faces
+    return (own, corners) if same else (vertices, faces)
 
 
 def _corner_uv(loaded: trimesh.Trimesh) -> np.ndarray | None:
@@ -348,7 +395,7 @@ def _vertex_colours(loaded: trimesh.Trimesh) -> np.ndarray | None:
     return colours[:, :3].copy() if len(colours) == len(loaded.vertices) else None
 
 
-def _vertex_normals(loaded: trimesh.Trimesh) -> np.ndarray | None:
+def _vertex_normals(loaded: trimesh.Trimesh, n: int) -> np.ndarray | None:
     """The normals of the file; None where it has none, or some without a direction."""
     normals = loaded._cache.cache.get("vertex_normals")
     raw = loaded.metadata.get("_ply_raw", {}).get("vertex", {}).get("data")
@@ -357,7 +404,7 @@ def _vertex_normals(loaded: trimesh.Trimesh) -> np.ndarray | None:
         normals = np.column_stack(
             [np.ravel(raw[axis]) for axis in ("nx", "ny", "nz")]  # pyright: ignore[reportOptionalSubscript]
         )
-    if normals is None or np.shape(normals) != loaded.vertices.shape:
+    if normals is None or np.shape(normals) != (n, 3):
         return None
     unit = _unit_rows(np.asarray(normals, dtype=np.float64))
     return unit if (np.abs(np.linalg.norm(unit, axis=1) - 1.0) < 1e-6).all() else None
