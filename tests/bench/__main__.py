@@ -32,6 +32,7 @@ from tests.bench import (
     resection,
     speed,
     texture,
+    third_view,
     way,
 )
 from tests.bench.metrics import (
@@ -53,6 +54,7 @@ __all__ = [
     "resection",
     "speed",
     "texture",
+    "third_view",
     "way",
 ]
 
