@@ -297,8 +297,7 @@ class _Run:
         first, last = SEARCH_SHARE, FIRST_POLISH_SHARE
         if answer is not None:
             first, last = FIRST_POLISH_SHARE, 1.0
-        level, steps, expected_px = -1, 0, None
-        before: PolishStep | None = None
+        level, steps = -1, 0
         for step in polish_cameras(
             self.mesh,
             self.reduced,
@@ -313,10 +312,7 @@ class _Run:
             if answer is None:
                 self.best = step.cameras
             steps = steps + 1 if step.level == level else 0
-            if steps == 0 and before is not None and answer is None:
-                # What the level that has just ended says of itself; 3 ms.
-                expected_px = estimate_uncertainty(self.mesh, before).expected_error_px
-            level, before = step.level, step
+            level = step.level
             within = 1.0 - 1.0 / (1.0 + 0.2 * steps)
             words = f"polish, level {step.level + 1} of {step.n_levels}"
             progress = self._progress(
@@ -326,14 +322,7 @@ class _Run:
                 step.cost,
                 step.cost,
             )
-            yield (
-                step,
-                dataclasses.replace(
-                    progress,
-                    begins=None if steps else words,
-                    expected_error_px=expected_px,
-                ),
-            )
+            yield step, dataclasses.replace(progress, begins=None if steps else words)
 
     def _finished(self, search: Search) -> Finished:
         if not self.config.polish_after:
