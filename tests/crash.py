@@ -8,6 +8,7 @@ must be at least what the page has shown, and be whole.
 """
 
 import argparse
+import contextlib
 import dataclasses
 import hashlib
 import json
@@ -51,6 +52,9 @@ MAX_LIFE_S = 1.5
 RUN_EVERY = 4
 """One life in so many has a refinement under way."""
 
+TELL_EVERY = 10
+"""Lives after which the figures so far are printed."""
+
 START_S, TOLD_S = 120.0, 60.0
 
 
@@ -67,8 +71,12 @@ def main(arguments: list[str] | None = None) -> int:
         options = SceneOptions(kind="clean", width=160, height=120, error_px=(3.0, 4.0))
         write_scene(make_scene(options), world)
         crash = Crash(Path(name) / "work", world, chosen.seed)
-        while crash.n_server_kills + crash.n_worker_kills < chosen.kills:
-            crash.one_life()
+        # Ctrl-C ends it with the figures so far.
+        with contextlib.suppress(KeyboardInterrupt):
+            while crash.n_server_kills + crash.n_worker_kills < chosen.kills:
+                crash.one_life()
+                if crash.n_server_kills % TELL_EVERY == 0:
+                    print(crash.summary(time.monotonic() - began), flush=True)
     print(crash.summary(time.monotonic() - began), flush=True)
     return 1 if crash.lost else 0
 
