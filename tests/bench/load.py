@@ -9,12 +9,13 @@ the server's memory, and how long a run takes beside one that nobody watches.
 
 import argparse
 import asyncio
+import concurrent.futures
 import contextlib
 import html
+import math
 import re
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -88,7 +89,7 @@ class Watcher:
         await self._send(
             type="ViewerCameraMessage",
             wxyz=(1.0, 0.0, 0.0, 0.0),
-            position=(3.0 * np.cos(angle), 3.0 * np.sin(angle), 1.0),
+            position=(3.0 * math.cos(angle), 3.0 * math.sin(angle), 1.0),
             fov=0.8,
             near=0.01,
             far=1000.0,
@@ -205,14 +206,15 @@ def _measure(
 
         asyncio.run(all_of_them())
 
-    crowding = threading.Thread(target=crowd)
-    crowding.start()
+    pool = concurrent.futures.ThreadPoolExecutor(1)
+    crowding = pool.submit(crowd)
     turn = 0
     while time.monotonic() < until:
         seconds.append(_run(first, folder, windows, turn))
         memory_mb.append(_rss_mb(pid))
         turn += 1
-    crowding.join()
+    crowding.result()
+    pool.shutdown()
     answers = [ms for watcher in watchers for ms in watcher.answers_ms]
     n_errors = len(errors) + sum(w.n_errors for w in watchers)
     about = (
