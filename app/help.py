@@ -40,6 +40,15 @@ SECTIONS = (
         ),
     ),
     (
+        "Points, in the photo at the left",
+        (
+            ("click", "a point; then the same on the model"),
+            ("drag a marker", "correct it, in the photo or on the model"),
+            ("wheel, drag", "zoom at the cursor, pan"),
+            ("Delete", "remove the marker in focus"),
+        ),
+    ),
+    (
         "Move",
         (
             ("drag", "orbit: the camera circles the object"),

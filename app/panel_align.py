@@ -70,7 +70,12 @@ class AlignPanel:
                 hint="A new focal length moves the camera back or forth, so that the "
                 "object keeps its size in the photo.",
             )
-            self._focal = gui.add_number("Focal length, px", 1000.0, step=1.0)
+            self._focal = gui.add_number(
+                "Focal length, px",
+                1000.0,
+                step=1.0,
+                hint="In pixels of this photo at its full size.",
+            )
             self._film = gui.add_number(
                 "35 mm film, mm",
                 50.0,

@@ -69,7 +69,14 @@ class ViewPanel:
             next(orders),
         )
         self._zoom = gui.add_slider(
-            "Zoom", 1.0, MAX_ZOOM, 0.1, 1.0, order=next(orders), visible=False
+            "Zoom",
+            1.0,
+            MAX_ZOOM,
+            0.1,
+            1.0,
+            hint="Photo and mesh together; the camera stays. The wheel zooms, too.",
+            order=next(orders),
+            visible=False,
         )
         self._style = Choice(
             gui,
@@ -82,16 +89,30 @@ class ViewPanel:
         self._photo_style = Choice(
             gui,
             bus,
-            "As",
+            "Style",
             PHOTO_STYLES,
             lambda _, value: session.change(None, setting(overlay_style=value)),
             next(orders),
         )
         self._opacity = gui.add_slider(
-            "Opacity", 0.0, 1.0, 0.01, 0.55, order=next(orders), visible=False
+            "Opacity",
+            0.0,
+            1.0,
+            0.01,
+            0.55,
+            hint="Of the mesh over the photo.",
+            order=next(orders),
+            visible=False,
         )
         self._share = gui.add_slider(
-            "Share", 0.0, 1.0, 0.01, 0.5, order=next(orders), visible=False
+            "Share",
+            0.0,
+            1.0,
+            0.01,
+            0.5,
+            hint="How much of the other photo is mixed in, or where the line is.",
+            order=next(orders),
+            visible=False,
         )
 
         @self._zoom.on_update

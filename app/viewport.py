@@ -6,40 +6,25 @@ scene, and the view only turns about the camera's centre and zooms by its field 
 so mesh and photo stay together to the pixel at any zoom.
 """
 
-import dataclasses
-import itertools
-import json
 import threading
 import time
 from collections.abc import Callable
 from typing import Literal
 
-import cv2
 import numpy as np
 import viser
 import viser.transforms as vtf
 
-from app.canvas import (
-    SURROUND,
-    backdrop,
-    far_depth,
-    fitting_focal,
-    photo_plane,
-    view_angle,
-    warped_photo,
-    without_skew,
-)
 from app.conductor import Conductor
-from app.controls import guarded, notify, put
+from app.controls import guarded, notify
 from app.hands import Hands
 from app.home_view import home_view
+from app.photo_view import PhotoView
 from app.placement import DisplayFrame
 from app.scene import Scene
 from app.session import with_entry
 from app.state import PhotoEntry, State
-from app.widgets import run_in_page
 from photoreg.camera import Camera
-from photoreg.photo import Photo
 
 FREE_FOV = np.radians(14.0)
 """Narrow, so that the object is not dwarfed by the cameras that stand before it."""
@@ -64,8 +49,6 @@ graphics card and much else to do: a shorter rest would cut one drag into severa
 HOLD_S = 0.7
 """So long after its last move a view keeps the camera in its hand."""
 
-MAX_BACKGROUND_PX = 1600
-MAX_PLANE_PX = 4096
 PIVOT = 1e-3
 """Distance of the pivot in Inspect, in page units: the view turns about the camera's
 centre to less than a tenth of a pixel."""
@@ -76,16 +59,6 @@ FARTHEST_PIVOT = 1e4
 MAX_ZOOM = 64.0
 
 Mode = Literal["free", "inspect", "move"]
-
-
-@dataclasses.dataclass(frozen=True)
-class Plane:
-    """The photo as it stands in the scene in Inspect."""
-
-    root: viser.SceneNodeHandle
-    image: viser.ImageHandle
-    photo: object
-    """What it shows, to tell whether that has changed."""
 
 
 class Viewport:
@@ -111,6 +84,7 @@ class Viewport:
         self._wake = wake
         self._lock = threading.RLock()
         self._hidden: list[viser.SceneNodeHandle] = []
+        self._photo = PhotoView(client, conductor, scene)
         self._home: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
         self._stands_at: Camera | None = None
         self._aim: np.ndarray | None = None
@@ -119,13 +93,7 @@ class Viewport:
         self._last_move = -np.inf
         self._gesture = 0
         self._told_at = -np.inf
-        self._canvas = (0, 0)
-        self._background: object = None
-        self._plane: Plane | None = None
         self._framed: object = None
-        self._script = client.gui.add_html("")
-        self._ran = ""
-        self._n_scripts = itertools.count()
         client.camera.min_orbit_distance = PIVOT
         self._hide("/clear")
         client.camera.on_update(guarded(self._on_camera))
@@ -149,8 +117,7 @@ class Viewport:
             self._leave_inspect()
             self.mode = "free"
             self._hide("/clear")
-            dark = self._session.state.dark
-            self._set_background(("free", dark), lambda: backdrop(dark))
+            self._photo.show_none(self._session.state.dark)
             self._stands_at = None
             if self._home is None:
                 self.go_home(self._session.state)
@@ -176,7 +143,7 @@ class Viewport:
             if self.mode != "inspect" or entry is None:
                 return
             self.zoom = float(np.clip(zoom, 1.0, MAX_ZOOM))
-            view.fov = self._inspecting_angle(entry.camera)
+            view.fov = self._photo.view_angle(entry.camera, self.zoom)
 
     def _look_through(self, mode: Mode) -> None:
         if self.mode == "free":
@@ -196,12 +163,8 @@ class Viewport:
     def _leave_inspect(self) -> None:
         if self.mode != "inspect":
             return
-        if self._plane is not None:
-            self._plane.root.remove()
-            self._plane = None
-        camera = self.client.camera
-        camera.max_orbit_distance = FARTHEST_PIVOT
-        self._run("window.photoreg?.inspect?.(null)")
+        self._photo.remove_plane()
+        self.client.camera.max_orbit_distance = FARTHEST_PIVOT
 
     def go_home(self, state: State) -> None:
         """The view from which mesh and cameras are all seen."""
@@ -239,7 +202,7 @@ class Viewport:
                     self.go_home(state)
             if self.mode == "free":
                 self._follow_window(state)
-                self._set_background(("free", state.dark), lambda: backdrop(state.dark))
+                self._photo.show_none(state.dark)
                 return
             entry = state.selected_photo
             if entry is None:
@@ -276,108 +239,9 @@ class Viewport:
 
     def _show_photo(self, state: State, entry: PhotoEntry) -> None:
         if self.mode == "move":
-            self._show_background(state, entry)
+            self._photo.show_behind(state, entry)
         else:
-            self._show_plane(state, entry)
-
-    def _shown(self, state: State, entry: PhotoEntry) -> bytes | None:
-        """The worker's picture that takes the photo's place, a JPEG file; or none."""
-        drawn = self._conductor.drawn
-        if drawn is None or drawn.onto != entry.name or not entry.enabled:
-            return None
-        if state.through_style == "photo":
-            return self._conductor.picture
-        return drawn.normals_jpeg if state.through_style == "normals" else None
-
-    def _show_background(self, state: State, entry: PhotoEntry) -> None:
-        view = self.client.camera
-        if view.image_width < 2 or view.image_height < 2:
-            return
-        scale = min(1.0, MAX_BACKGROUND_PX / max(view.image_width, view.image_height))
-        width = round(view.image_width * scale)
-        height = round(view.image_height * scale)
-        focal = fitting_focal(entry.camera, width, height)
-        view.fov = view_angle(focal, height)
-        picture = self._shown(state, entry)
-
-        def warped() -> np.ndarray:
-            photo = (
-                entry.photo.resized(MAX_BACKGROUND_PX)
-                if picture is None
-                else Photo(entry.name, _decoded(picture))
-            )
-            camera = entry.camera.resized(photo.width, photo.height)
-            around = SURROUND[state.dark]
-            return warped_photo(photo.pixels, camera, focal, width, height, around)
-
-        shown = entry.photo if picture is None else picture
-        K = entry.camera.K.tobytes()
-        self._set_background(("move", shown, width, height, K, state.dark), warped)
-
-    def _show_plane(self, state: State, entry: PhotoEntry) -> None:
-        camera, frame, mesh = entry.camera, self._scene.frame, state.document.mesh
-        around = np.full((4, 4, 3), SURROUND[state.dark], dtype=np.uint8)
-        self._set_background(("inspect", state.dark), lambda: around)
-        rotation, position = frame.pose(camera)
-        picture = self._shown(state, entry)
-        shown = entry.photo if picture is None else picture
-        plane = self._plane
-        bounds = np.array([[-1.0] * 3, [1.0] * 3]) if mesh is None else mesh.bounds
-        width, height, centre = photo_plane(camera, far_depth(frame, camera, bounds))
-        if plane is None:
-            root = self.client.scene.add_frame("/through", show_axes=False)
-            image = self.client.scene.add_image(
-                "/through/photo",
-                _plane_pixels(entry),
-                width,
-                height,
-                format="jpeg",
-                jpeg_quality=90,
-                cast_shadow=False,
-                receive_shadow=False,
-            )
-            plane = Plane(root, image, entry.photo)
-        if plane.photo is not shown:
-            if picture is None:
-                plane.image.image = _plane_pixels(entry)
-            else:
-                # A JPEG already: the public setter takes pixels and encodes them anew.
-                plane.image._data = picture
-        with self.client.atomic():
-            plane.root.wxyz = vtf.SO3.from_matrix(rotation).wxyz
-            plane.root.position = position
-            put(plane.image, "render_width", width)
-            put(plane.image, "render_height", height)
-            plane.image.position = centre
-        self._plane = Plane(plane.root, plane.image, shown)
-        view = self.client.camera
-        self._canvas = (view.image_width, view.image_height)
-        view.fov = self._inspecting_angle(camera)
-        fit = float(np.degrees(self._inspecting_angle(camera, 1.0)))
-        self._run(f"window.photoreg?.inspect?.({json.dumps(round(fit, 9))})")
-
-    def _inspecting_angle(self, camera: Camera, zoom: float | None = None) -> float:
-        view = self.client.camera
-        width, height = max(view.image_width, 2), max(view.image_height, 2)
-        focal = fitting_focal(camera, width, height)
-        return view_angle(focal * (self.zoom if zoom is None else zoom), height)
-
-    def _set_background(self, key: object, picture: Callable[[], np.ndarray]) -> None:
-        """Sends the background that ``picture`` makes, unless it is there already."""
-        if key == self._background:
-            return
-        self._background = key
-        self.client.scene.set_background_image(
-            picture(), format="jpeg", jpeg_quality=88
-        )
-
-    def _run(self, script: str) -> None:
-        """Runs a line of JavaScript in this browser, unless it was the last one."""
-        if self._ran == script:
-            return
-        self._ran = script
-        # The number makes it new to the page, which runs only what has changed.
-        self._script.content = run_in_page(f"{script};/*{next(self._n_scripts)}*/")
+            self._photo.show_plane(state, entry, self.zoom)
 
     # What the browser reports.
 
@@ -441,15 +305,15 @@ class Viewport:
                 self._push(camera)
             return
         self._settling_until = 0.0
-        if self._plane is None:
+        if not self._photo.has_plane:
             return  # It is on its way.
-        if (view.image_width, view.image_height) != self._canvas:
-            self._show_plane(self._session.state, entry)
+        if not self._photo.fits_canvas:
+            self._photo.show_plane(self._session.state, entry, self.zoom)
             return
         direction = rotation.T @ vtf.SO3(view.wxyz).as_matrix()[:, 2]
         if direction[2] > 0.1:
             self._aim = camera.K @ (direction / direction[2])
-        fitting = np.tan(0.5 * self._inspecting_angle(camera, 1.0))
+        fitting = np.tan(0.5 * self._photo.view_angle(camera))
         zoom = float(fitting / np.tan(0.5 * view.fov))
         if abs(zoom / self.zoom - 1.0) > 1e-3:
             self.zoom = zoom
@@ -466,18 +330,6 @@ class Viewport:
             self.client.scene.add_frame(name, show_axes=False, visible=False)
             for name in names
         ]
-
-
-def _plane_pixels(entry: PhotoEntry) -> np.ndarray:
-    photo = entry.photo.resized(MAX_PLANE_PX)
-    camera = entry.camera.resized(photo.width, photo.height)
-    return without_skew(photo.pixels, camera)
-
-
-def _decoded(jpeg: bytes) -> np.ndarray:
-    data = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
-    assert data is not None, "The worker writes valid files."
-    return cv2.cvtColor(data, cv2.COLOR_BGR2RGB)
 
 
 def _apart(frame: DisplayFrame, first: Camera, second: Camera) -> float:

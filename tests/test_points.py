@@ -176,3 +176,16 @@ def test_gross_errors_are_named_and_the_answer_holds(document, seed):
     assert f"Pairs {named} do not fit" in resection.warnings[0]
     error = projection_error(mesh, [truth], [resection.camera]).cameras[0].mean
     assert error < 20.0, f"{error:.1f} px"
+
+
+def test_a_surface_point_is_moved_and_nothing_else(session):
+    for u in (10.0, 20.0):
+        photo(session, u, 5)
+        surface(session, u, 0, 0)
+    before = session.state.document.photos[0].pairs
+    change = points.with_moved_surface_point("toy-0.png", 2, (7.0, 8.0, 9.0))
+    session.change("Move point 2", change)
+    now = session.state.document.photos[0].pairs
+    assert now == (before[0], PointPair(2, (7.0, 8.0, 9.0), before[1].pixel))
+    with pytest.raises(InputError, match="no point 5"):
+        points.with_moved_surface_point("toy-0.png", 5, (0.0, 0.0, 0.0))(session.state)

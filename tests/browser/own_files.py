@@ -5,12 +5,15 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from app.state import same_camera
 from photoreg.camera import Camera
 from photoreg.synthetic import Scene
 from tests.browser.app import App
 from tests.browser.driver import Driver, wait_until
 
 N_PAIRS = 8
+GOOD_SHARE = 0.6
+"""Of what the view shows of the object, seen by the photo, too."""
 _DROP = """files => {
   const transfer = new DataTransfer();
   for (const [name, text] of files) {
@@ -43,6 +46,30 @@ def places_to_click(
     app: App, camera: Camera, n: int
 ) -> list[tuple[tuple[int, int], np.ndarray]]:
     """Far apart, window pixels over the model that the photo sees, and where it does."""
+    spots, pixels, world, _ = _shared_places(app, camera)
+    assert len(spots) > 3 * n, "model and photo share much of the surface"
+    chosen = [0]
+    while len(chosen) < n:
+        apart = np.linalg.norm(world[:, None] - world[chosen][None], axis=2)
+        chosen.append(int(np.argmax(apart.min(axis=1))))
+    return [((int(spots[i][0]), int(spots[i][1])), pixels[i]) for i in chosen]
+
+
+def turn_to_see(app: App, camera: Camera) -> None:
+    """Turns the free view until it shows the side that the photo shows."""
+    canvas = app.driver.canvas()
+    corner = (canvas["x"] + 40, canvas["y"] + 40)
+    for way in (*[(90.0, 0.0)] * 7, (0.0, 70.0), *[(90.0, 0.0)] * 7):
+        if _shared_places(app, camera)[3] > GOOD_SHARE:
+            return
+        app.driver.drag(corner, way)
+        app.driver.frames(12)
+
+
+def _shared_places(
+    app: App, camera: Camera
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Window pixels over the model that the photo sees, where, and their share of all."""
     driver, frame = app.driver, app.page.scene.frame
     mesh = app.state.document.mesh
     assert mesh is not None
@@ -66,13 +93,7 @@ def places_to_click(
     _, seen_at = mesh.first_hits(starts, ways)
     pixels = camera.project(world)
     good = (np.abs(seen_at - 1.0) < 1e-3) & camera.contains(pixels)
-    spots, pixels, world = spots[good], pixels[good], world[good]
-    assert len(spots) > 3 * n, "model and photo share much of the surface"
-    chosen = [0]
-    while len(chosen) < n:
-        apart = np.linalg.norm(world[:, None] - world[chosen][None], axis=2)
-        chosen.append(int(np.argmax(apart.min(axis=1))))
-    return [((int(spots[i][0]), int(spots[i][1])), pixels[i]) for i in chosen]
+    return spots[good], pixels[good], world[good], float(good.mean())
 
 
 def click_pairs(app: App, places: Sequence[tuple[tuple[int, int], np.ndarray]]) -> None:
@@ -119,6 +140,7 @@ def whole_way(app: App, scene: Scene) -> Iterator[str]:
         driver.page.wait_for_function("() => photoreg.picker.ready()")
         driver.frames(3)
         true = scene.cameras[[p.name for p in scene.photos].index(entry.name)]
+        turn_to_see(app, true)
         click_pairs(app, places_to_click(app, true, N_PAIRS))
 
         def solved(i: int = i) -> bool:
@@ -126,7 +148,7 @@ def whole_way(app: App, scene: Scene) -> Iterator[str]:
             return (
                 solution is not None
                 and solution.resection is not None
-                and solution.resection.camera is now.camera
+                and same_camera(solution.resection.camera, now.camera)
             )
 
         wait_until(solved, "the camera stands where the points say")

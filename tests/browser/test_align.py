@@ -180,7 +180,7 @@ def test_what_lies_over_the_photo_is_chosen_in_the_page(app):
 def pixels_of(app) -> bytes:
     """The picture that stands in the scene in Inspect, as it was sent."""
     (viewport, *_) = app.page._viewports.values()
-    return viewport._plane.image._data
+    return viewport._photo._plane.image._data
 
 
 def test_inspect_zooms_at_the_cursor_and_pans_and_never_moves_the_camera(app):
