@@ -15,6 +15,7 @@ import viser
 
 from app.controls import guarded
 from photoreg.errors import InputError
+from photoreg.limits import Limits
 
 log = logging.getLogger(__name__)
 
@@ -27,7 +28,8 @@ NO_PICTURE = "data:image/png;base64,AA"
 class Bus:
     """Takes messages of the page's scripts to their handlers."""
 
-    def __init__(self, gui: viser.GuiApi) -> None:
+    def __init__(self, gui: viser.GuiApi, limits: Limits) -> None:
+        self.limits = limits
         self._handlers: dict[str, Handler] = {}
         self._text = gui.add_text("page", "", visible=False)
         self.upload = gui.add_upload_button("Files", visible=True)
@@ -77,7 +79,8 @@ class Bus:
             + "hide();"
         )
         script = (
-            f"(p=>{{p.bus='{text}';p.upload='{upload}'}})(window.photoreg??={{}});"
+            f"(p=>{{p.bus='{text}';p.upload='{upload}';"
+            + f"p.maxBytes={self.limits.file_bytes}}})(window.photoreg??={{}});"
             + "if(!window.photoreg.booted){window.photoreg.booted=1;"
             + f"for(const n of {json.dumps(SCRIPTS)})"
             + "{const s=document.createElement('script');s.src='/photoreg/'+n+'.js';"

@@ -132,15 +132,29 @@ class Intake:
         with self._session.lock:
             if browser != self._sender:
                 return  # Of a batch that was cancelled.
-            self._n_expected -= 1
             try:
                 self._received.append(self._keep(name, content))
             finally:
-                if self._n_expected == 0:
-                    self._sender = None
-                    self._session.change(None, setting(job=None))
-                    if self._received:
-                        self.open(self._received)
+                self._one_less()
+
+    def refuse(self, browser: int, sentence: str) -> None:
+        """A file of a batch does not come; the others are opened all the same.
+
+        Raises:
+            InputError: always, with the sentence.
+        """
+        with self._session.lock:
+            if browser == self._sender:
+                self._one_less()
+        raise InputError(sentence)
+
+    def _one_less(self) -> None:
+        self._n_expected -= 1
+        if self._n_expected == 0:
+            self._sender = None
+            self._session.change(None, setting(job=None))
+            if self._received:
+                self.open(self._received)
 
     def left(self, browser: int) -> None:
         """A browser has gone: what it was sending will not come."""

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from app.conductor import Conductor
+from app.doors import Doors
 from app.opening import demo_folder, open_files, open_folder, with_camera_file
 from app.projects import Projects
 from app.server import Page
@@ -26,6 +27,8 @@ def run_app(
     project: Path | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
+    token: str | None = None,
+    address: str | None = None,
     open_browser: bool = True,
     shadows: bool = True,
 ) -> int:
@@ -38,12 +41,17 @@ def run_app(
             a new one in the user's data folder.
         host: Address to listen on.
         port: Port to listen on; the next free one is taken when it is busy.
+        token: What lets a browser in; None: the environment variable PHOTOREG_TOKEN, or,
+            where other machines can reach the port, one that is made.
+        address: Where people reach it through a proxy, "https://photos.example.org".
         open_browser: Whether to open the page, where there is a browser.
         shadows: Whether the scene is drawn with shadows; they cost a slow browser much.
 
     Raises:
         InputError: if a file is missing or not valid.
     """
+    token = token or os.environ.get("PHOTOREG_TOKEN")
+    doors = Doors.with_a_token(host, token, address)
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
     session = Session()
     projects = Projects(session)
@@ -51,14 +59,20 @@ def run_app(
     try:
         open_project(projects, files, cameras, project)
         conductor = Conductor(session, projects=projects)
-        page = Page(session, conductor, host, port, shadows)
+        page = Page(session, conductor, doors, port, shadows)
         if page.port != port and port != 0:
             _say(f"Port {port} is taken, so photoreg uses {page.port}.")
-        shown = "127.0.0.1" if host in ("", "0.0.0.0") else host
-        address = f"http://{shown}:{page.port}"
-        _say(f"photoreg is at {address} (Ctrl-C ends it).")
+        # A token that was given is known to who gave it, and stays out of logs.
+        shown = doors.entrance(page.port, with_token=not token)
+        _say(f"photoreg is at {shown} (Ctrl-C ends it).")
+        if doors.token is not None:
+            _say(
+                "Whoever has this address may come in."
+                if not token
+                else "It asks for your token once in each browser; /?token=... gives it."
+            )
         if open_browser and has_browser():
-            webbrowser.open(address)
+            webbrowser.open(doors.entrance(page.port))
         _wait_for_the_end()
     finally:
         if page is not None:

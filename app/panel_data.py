@@ -15,7 +15,9 @@ from app.placement import guessed_focal_px
 from app.points import index_of_photo
 from app.session import select, setting
 from app.state import PhotoEntry, State
+from app.uploads import too_large
 from photoreg.formats.camera_search import CAMERA_SUFFIXES
+from photoreg.limits import Limits
 
 THUMBNAIL_PX = 160
 
@@ -27,6 +29,8 @@ class DataPanel:
         self._thumbnails: dict[int, tuple[object, str]] = {}
         self._card_key: object = None
         self._session = session = conductor.session
+        self._conductor = conductor
+        self._limits = bus.limits
         gui.add_markdown("A scanned surface, and the photos to lay onto it.")
         self._mesh_card = gui.add_html("")
         self._photo_cards = gui.add_html("")
@@ -47,6 +51,8 @@ class DataPanel:
             ),
         )
 
+        bus.on("oversized", self._on_oversized)
+
         @bus.upload.on_upload
         @guarded
         def _(event: viser.GuiEvent) -> None:
@@ -64,6 +70,11 @@ class DataPanel:
         @guarded
         def _(_: viser.GuiEvent) -> None:
             session.change(None, setting(dark=self._dark.value))
+
+    def _on_oversized(self, values: Values, client: viser.ClientHandle) -> None:
+        """The page holds a file back that is too large."""
+        sentence = too_large(str(values["name"]), int(values["size"]), self._limits)
+        self._conductor.intake.refuse(client.client_id, sentence)
 
     # What is done in the cards.
 
@@ -93,7 +104,7 @@ class DataPanel:
     def show(self, state: State) -> None:
         """Makes the controls as ``state`` has them."""
         busy = state.run.status != "idle" or state.job is not None
-        put(self._open, "content", _opening_html(state, busy))
+        put(self._open, "content", _opening_html(state, busy, self._limits))
         put(self._demo, "disabled", busy)
         put_value(self._dark, state.dark)
         key = (
@@ -201,7 +212,7 @@ _NAME = (
 _FACTS = "font-size:12px;opacity:.7"
 
 
-def _opening_html(state: State, busy: bool) -> str:
+def _opening_html(state: State, busy: bool, limits: Limits) -> str:
     """The button that opens files; while one is read, which."""
     job = state.job
     text = "Open files …" if job is None else f"{html.escape(job.title)} …"
@@ -211,8 +222,8 @@ def _opening_html(state: State, busy: bool) -> str:
         + _big_button(text, "background:#26a69a;color:#04211e", busy)
         + f'<div style="{_FINE_PRINT};margin-bottom:9px">'
         "Or drop them anywhere on this page, several at once. Mesh: OBJ, PLY, STL, GLB, "
-        "OFF. Photos: JPEG, PNG, TIFF. A new photo gets a first camera in front of the "
-        "object; place it in the next tab.</div>"
+        f"OFF. Photos: JPEG, PNG, TIFF. Up to {limits.file_mb:,.0f} MB each. A new photo "
+        "gets a first camera in front of the object; place it in the next tab.</div>"
         + _big_button(
             "Load cameras …",
             "background:rgba(128,140,155,.25);color:inherit",

@@ -5,28 +5,22 @@ so that nothing flickers however fast the changes come.
 """
 
 import contextlib
-import functools
 import html
-import http
 import io
 import logging
 import threading
 import time
 from collections.abc import Callable
 from typing import Any, cast
-from urllib.parse import urlsplit
 
 import numpy as np
 import viser
-import websockets.asyncio.server as websocket_server
-from websockets.asyncio.server import ServerConnection
-from websockets.datastructures import Headers
-from websockets.http11 import Request, Response
 
 from app.bus import Bus, sending
 from app.canvas import backdrop
 from app.conductor import Conductor
 from app.controls import BRAND, guarded, guarded_client, notify, put, report
+from app.doors import Doors, start_viser
 from app.hands import Hands
 from app.help import Help
 from app.meter import meter_html
@@ -38,13 +32,16 @@ from app.panel_points import PointsPanel
 from app.panel_project import ProjectPanel
 from app.panel_refine import RefinePanel
 from app.panel_view import ViewPanel
-from app.pictures import ROOT, Pictures
+from app.pictures import Pictures
 from app.scene import Scene
 from app.session import Session, with_entry
 from app.state import Job, State
+from app.uploads import limit_uploads
 from app.viewport import Viewport
 from app.widgets import Tool, Tools
 from photoreg.camera import Camera
+from photoreg.errors import PhotoregError
+from photoreg.limits import Limits
 
 log = logging.getLogger(__name__)
 
@@ -52,8 +49,6 @@ PAINT_PERIOD_S = 1 / 30
 BLINK_PERIOD_S = 0.6
 GIZMO_HOLD_S = 20.0
 """A gizmo that says nothing for so long is no longer in anybody's hand."""
-
-LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
 
 
 class Page:
@@ -63,7 +58,7 @@ class Page:
         self,
         session: Session,
         conductor: Conductor,
-        host: str = "127.0.0.1",
+        doors: Doors | None = None,
         port: int = 8080,
         shadows: bool = True,
     ) -> None:
@@ -71,7 +66,9 @@ class Page:
         self.conductor = conductor
         self.projects = conductor.projects
         self.pictures = Pictures()
-        self.server = start_viser(host, port, self.pictures)
+        self._limits = Limits.of_environment()
+        self.server = start_viser(doors or Doors(), port, self.pictures)
+        limit_uploads(self.server, self._limits, self._on_refused)
         self._dark: bool | None = None
         self._viewports: dict[int, Viewport] = {}
         self._view_panels: dict[int, ViewPanel] = {}
@@ -117,7 +114,7 @@ class Page:
         gui.set_panel_label("photoreg")
         gui.main_panel.dock_right()
         gui.main_panel.set_width(324)
-        self._bus = bus = Bus(gui)
+        self._bus = bus = Bus(gui, self._limits)
         bus.on("stop", lambda *_: self.conductor.stop_job())
         self._status = gui.add_html("")
         self._meter = gui.add_html("")
@@ -283,6 +280,15 @@ class Page:
         self.scene.gizmos.let_go(client.client_id)
         self._wake.set()
 
+    def _on_refused(self, browser: int, name: str, sentence: str) -> None:
+        self._bus.arrived(name)
+        client = self.server.get_clients().get(browser)
+        try:
+            self.conductor.intake.refuse(browser, sentence)
+        except PhotoregError as error:
+            if client is not None:
+                notify(client, "That is not possible", str(error))
+
     def _on_gizmo(
         self, phase: str, browser: int, change: Callable[[Camera], Camera]
     ) -> None:
@@ -378,90 +384,3 @@ def _job_html(job: Job) -> str:
         f"width:{100 * job.fraction:.1f}%;background:#e8a33d;"
         'transition:width .3s"></span></span>'
     )
-
-
-def start_viser(host: str, port: int, pictures: Pictures) -> viser.ViserServer:
-    """A viser server that answers only pages of its own origin, and has our pictures.
-
-    viser checks neither Origin nor Host: any page in the same browser could drive a
-    server on this machine. The websocket library's handshake hook is the one seam.
-    """
-    serve = websocket_server.serve
-
-    def serve_checked(*args: Any, process_request: Any = None, **kwargs: Any) -> Any:
-        hook = functools.partial(
-            check_request, with_pictures(process_request, pictures), host
-        )
-        return serve(*args, process_request=hook, **kwargs)
-
-    websocket_server.serve = serve_checked
-    try:
-        # viser prints a banner of its own; the app says where it is.
-        with contextlib.redirect_stdout(io.StringIO()):
-            return viser.ViserServer(host=host, port=port, verbose=False)
-    finally:
-        websocket_server.serve = serve
-
-
-def with_pictures(following: Any, pictures: Pictures) -> Any:
-    """The handshake hook ``following``, and before it the paths of ``pictures``."""
-
-    async def picture(path: str) -> Response:
-        found = await pictures.answer(path)
-        if found is None:
-            return Response(http.HTTPStatus.NOT_FOUND, "NOT FOUND", Headers())
-        kind, body = found
-        caching = "no-cache" if path.endswith(".js") else "max-age=3600"
-        headers = Headers(
-            {
-                "Content-Type": kind,
-                "Content-Length": str(len(body)),
-                "Cache-Control": caching,
-                "Connection": "close",
-            }
-        )
-        return Response(http.HTTPStatus.OK, "OK", headers, body)
-
-    def process(connection: ServerConnection, request: Request) -> Any:
-        if request.path.startswith(ROOT):
-            return picture(request.path)
-        return following(connection, request) if following is not None else None
-
-    return process
-
-
-def check_request(
-    following: Callable[[ServerConnection, Request], Response | None] | None,
-    bound_host: str,
-    connection: ServerConnection,
-    request: Request,
-) -> Response | None:
-    """Refuses foreign pages with 403; passes everything else on."""
-    host = request.headers.get("Host", "")
-    if bound_host in LOOPBACK_NAMES and _name(host) not in LOOPBACK_NAMES:
-        # A foreign name that was made to resolve to this machine.
-        return _forbidden(f"This server is for this machine, not for {host}.")
-    origin = request.headers.get("Origin")
-    if request.headers.get("Upgrade", "").lower() == "websocket" and (
-        origin is None or urlsplit(origin).netloc != host
-    ):
-        return _forbidden("Pages of another origin may not connect.")
-    return following(connection, request) if following is not None else None
-
-
-def _name(host: str) -> str:
-    if host.startswith("["):
-        return host.partition("]")[0] + "]"
-    return host.partition(":")[0]
-
-
-def _forbidden(text: str) -> Response:
-    body = (text + "\n").encode()
-    headers = Headers(
-        {
-            "Content-Type": "text/plain; charset=utf-8",
-            "Content-Length": str(len(body)),
-            "Connection": "close",
-        }
-    )
-    return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", headers, body)

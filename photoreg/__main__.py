@@ -21,6 +21,8 @@ def app_command(
     project: Path | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
+    token: str | None = None,
+    address: str | None = None,
     browser: bool = True,
 ) -> int:
     """Open the app in the browser; without files, on the demo.
@@ -30,15 +32,28 @@ def app_command(
         cameras: Cameras of the photos, a photoreg camera file.
         project: Folder that keeps the work: opened as it was left where it is a project,
             made where not. Without it, a new one in your data folder.
-        host: Address to listen on; the default lets only this machine in.
+        host: Address to listen on; the default lets only this machine in. Any other asks
+            for a token.
         port: Port to listen on; the next free one is taken when it is busy.
+        token: What lets a browser in, at least 16 characters; better given by the
+            environment variable PHOTOREG_TOKEN, which other users cannot see. Without
+            it, one is made where it is needed.
+        address: Where people reach it through a proxy, https://photos.example.org; see
+            SECURITY.md.
         browser: Open the page in the default browser, where there is one.
     """
     # Not at the top: the command line must not wait for the app's imports.
     from app.main import run_app  # noqa: PLC0415
 
     return run_app(
-        files, cameras, project=project, host=host, port=port, open_browser=browser
+        files,
+        cameras,
+        project=project,
+        host=host,
+        port=port,
+        token=token,
+        address=address,
+        open_browser=browser,
     )
 
 

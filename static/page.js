@@ -91,6 +91,20 @@
     if (element.dataset.file === sending) sending = null;
   });
 
+  // What is too large is not sent: for every input, before viser sees it.
+  window.addEventListener(
+    "change",
+    (event) => {
+      const box = event.target;
+      const file = box.id?.startsWith?.("file_upload_") ? box.files?.[0] : undefined;
+      if (!file || !(file.size > photoreg.maxBytes)) return;
+      event.stopImmediatePropagation();
+      photoreg.send("oversized", { name: file.name, size: file.size });
+      if (file.name === sending) sending = null;
+    },
+    true,
+  );
+
   photoreg.choose = (accept = "") => {
     const box = document.createElement("input");
     box.type = "file";

@@ -1,0 +1,68 @@
+"""How much of a file photoreg takes in; larger ones are refused in a sentence."""
+
+import dataclasses
+import os
+from collections.abc import Mapping
+
+from photoreg.errors import InputError
+
+
+@dataclasses.dataclass(frozen=True)
+class Limits:
+    """The limits on what is read. Each can be set by an environment variable.
+
+    The variable of ``file_mb`` is PHOTOREG_MAX_FILE_MB, and so on.
+    """
+
+    file_mb: float = 1000.0
+    """Size of a mesh or photo file, and of each file that a browser sends, in MB."""
+    camera_file_mb: float = 200.0
+    """Size of a camera file, in MB: a hundred thousand cameras."""
+    faces_millions: float = 20.0
+    """Triangles of a mesh, in millions; vertices may be three times as many."""
+    photo_megapixels: float = 120.0
+    """Pixels of a photo, or of a mesh's own texture, in millions."""
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if not 0.0 < value < 1e9:
+                raise InputError(
+                    f"{variable(field.name)} should be a number above 0, but is {value}."
+                )
+
+    @classmethod
+    def of_environment(cls, environment: Mapping[str, str] | None = None) -> "Limits":
+        """The defaults, and what environment variables say otherwise.
+
+        Raises:
+            InputError: if a variable is not a number above 0.
+        """
+        environment = os.environ if environment is None else environment
+        given = {}
+        for field in dataclasses.fields(cls):
+            text = environment.get(variable(field.name))
+            if text is not None:
+                try:
+                    given[field.name] = float(text)
+                except ValueError:
+                    raise InputError(
+                        f"{variable(field.name)} should be a number above 0, but is "
+                        f"{text!r}."
+                    ) from None
+        return cls(**given)
+
+    @property
+    def file_bytes(self) -> int:
+        """``file_mb`` in bytes."""
+        return int(self.file_mb * 1e6)
+
+    @property
+    def photo_pixels(self) -> int:
+        """``photo_megapixels`` in pixels."""
+        return int(self.photo_megapixels * 1e6)
+
+
+def variable(name: str) -> str:
+    """The environment variable that sets a limit."""
+    return f"PHOTOREG_MAX_{name.upper()}"
