@@ -13,6 +13,11 @@ ORTHONORMAL_TOLERANCE = 1e-3
 """How far R^T R may be from the identity in a file before R is refused. Files hold
 few decimals; what is within is replaced by the nearest rotation."""
 
+MAX_FOCAL_PX = 1e9
+"""Largest number in K: beyond it, products of pixels overflow or lose all digits."""
+MAX_DISTANCE = 1e16
+"""Largest number in t, as for the coordinates of a mesh."""
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Camera:
@@ -52,6 +57,12 @@ class Camera:
                 "The focal lengths in K should be positive, but are "
                 f"{K[0, 0]:g} and {K[1, 1]:g} px."
             )
+        for name, values, most in (("K", K, MAX_FOCAL_PX), ("t", t, MAX_DISTANCE)):
+            if np.abs(values).max() > most:
+                raise InputError(
+                    f"{name} holds {np.abs(values).max():.3g}; up to {most:g} can be "
+                    "reckoned with."
+                )
         defect = float(np.abs(R.T @ R - np.eye(3)).max())
         if defect > ORTHONORMAL_TOLERANCE or np.linalg.det(R) < 0.0:
             raise InputError(

@@ -60,11 +60,12 @@ def check_finite_array(values: object, shape: tuple[int, ...], name: str) -> np.
     return array
 
 
-def check_input_file(path: Path, what: str) -> Path:
-    """Returns ``path`` if it is a readable file that is not empty.
+def check_input_file(path: Path, what: str, max_mb: float | None = None) -> Path:
+    """Returns ``path`` if it is a readable file, not empty and not above ``max_mb``.
 
     Raises:
-        InputError: if it does not exist, is a folder, is empty or cannot be read.
+        InputError: if it does not exist, is a folder, is empty, too large or cannot be
+            read.
     """
     path = Path(path)
     if not path.exists():
@@ -75,6 +76,12 @@ def check_input_file(path: Path, what: str) -> Path:
         raise InputError(f"The {what} {path} cannot be read: permission denied.")
     if path.stat().st_size == 0:
         raise InputError(f"The {what} {path} is empty (0 bytes).")
+    size_mb = path.stat().st_size / 1e6
+    if max_mb is not None and size_mb > max_mb:
+        raise InputError(
+            f"The {what} {path.name} has {size_mb:,.1f} MB; up to {max_mb:,.0f} MB are "
+            "read. Reduce it, or raise the limit (SECURITY.md names its variable)."
+        )
     return path
 
 

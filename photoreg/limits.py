@@ -16,8 +16,8 @@ class Limits:
 
     file_mb: float = 1000.0
     """Size of a mesh or photo file, and of each file that a browser sends, in MB."""
-    camera_file_mb: float = 200.0
-    """Size of a camera file, in MB: a hundred thousand cameras."""
+    camera_file_mb: float = 500.0
+    """Size of a camera file, in MB: some hundred thousand cameras."""
     faces_millions: float = 20.0
     """Triangles of a mesh, in millions; vertices may be three times as many."""
     photo_megapixels: float = 120.0

@@ -5,6 +5,8 @@ The only module that imports trimesh and embree.
 
 import dataclasses
 import functools
+import logging
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +16,23 @@ import trimesh
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
 from jaxtyping import Bool, Float, Int, UInt8
+from PIL import Image
 
 from photoreg.checks import check_input_file, check_points
 from photoreg.errors import InputError
+from photoreg.limits import Limits
+from photoreg.mesh_headers import check_announced, check_counts
 from photoreg.sources import SourceFile, source_file
 
 _HASH_FACTORS = np.array(
     [0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64
 )
+
+# What it tells in tracebacks, photoreg tells in sentences.
+logging.getLogger("trimesh").setLevel(logging.CRITICAL)
+
+MAX_COORDINATE = 1e15
+"""Largest coordinate of a vertex: areas and volumes must not overflow."""
 
 MESH_SUFFIXES = (".obj", ".ply", ".stl", ".glb", ".off")
 
@@ -64,8 +75,9 @@ class Mesh:
                 "photographs need a surface. Triangulate the point cloud first."
             )
         if faces.min() < 0 or faces.max() >= len(vertices):
+            wrong = faces.max() if faces.max() >= len(vertices) else faces.min()
             raise InputError(
-                f"{self.name} has faces that name vertex {faces.max()}, but only "
+                f"{self.name} has faces that name vertex {wrong}, but only "
                 f"vertices 0 to {len(vertices) - 1} exist."
             )
         faces = np.ascontiguousarray(faces, dtype=np.int32)
@@ -73,7 +85,12 @@ class Mesh:
         faces.flags.writeable = False
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", faces)
-        if not self.area > 0.0:  # NaN would be refused too.
+        if not np.abs(vertices).max() < MAX_COORDINATE:
+            raise InputError(
+                f"{self.name} has coordinates up to {np.abs(vertices).max():.3g}; up to "
+                f"{MAX_COORDINATE:g} can be reckoned with. Is a vertex damaged?"
+            )
+        if not self.area > 0.0:
             raise InputError(
                 f"{self.name} has no surface: all {len(faces)} triangles have zero area."
             )
@@ -263,26 +280,32 @@ class Mesh:
         ).export(path)
 
 
-def load_mesh(path: Path | str) -> Mesh:
+def load_mesh(path: Path | str, limits: Limits | None = None) -> Mesh:
     """Loads OBJ, PLY, STL, GLB or OFF; units, axes and vertex order are untouched.
 
+    Args:
+        path: The file. What it names, an MTL or a texture, is read only from its folder.
+        limits: How large it may be; None: as the environment says.
+
     Raises:
-        InputError: if the file is missing, empty, unreadable, of another kind, or
-            holds no usable surface.
+        InputError: if the file is missing, empty, unreadable, of another kind, too
+            large, or holds no usable surface.
     """
-    path = check_input_file(Path(path), "mesh")
+    limits = limits or Limits.of_environment()
+    path = check_input_file(Path(path), "mesh", limits.file_mb)
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise InputError(
             f"{path.name} is not a mesh file photoreg reads: the suffix should be one "
             f"of {', '.join(MESH_SUFFIXES)}."
         )
-    loaded = _read(path)
+    check_announced(path, limits)
+    loaded = _read(path, limits)
     vertices, faces = np.asarray(loaded.vertices), np.asarray(loaded.faces)
     corner_uv = _corner_uv(loaded)
     if path.suffix.lower() == ".obj" and corner_uv is not None:
         # Kept in the file's order, a vertex has one texture coordinate even where the
         # file gives it several; only split by coordinate are the corners right.
-        split = _read(path, maintain_order=False)
+        split = _read(path, limits, maintain_order=False)
         corner_uv = None
         if np.array_equal(split.vertices[split.faces], vertices[faces]):
             corner_uv = _corner_uv(split)
@@ -297,24 +320,28 @@ def load_mesh(path: Path | str) -> Mesh:
         vertices, index = np.unique(vertices, axis=0, return_inverse=True)
         faces = index.reshape(-1)[faces]
         normals = colours = None
-    texture = None if corner_uv is None else _texture(loaded)
+    texture = None if corner_uv is None else _texture(loaded, limits)
     source = source_file(path)
     return Mesh(
         vertices, faces, corner_uv, path.name, source, texture, colours, normals
     )
 
 
-def _read(path: Path, maintain_order: bool = True) -> trimesh.Trimesh:
+def _read(path: Path, limits: Limits, maintain_order: bool = True) -> trimesh.Trimesh:
     try:
-        loaded = trimesh.load(path, process=False, maintain_order=maintain_order)
-        if isinstance(loaded, trimesh.Scene):
-            loaded = _joined(loaded)
-    except MemoryError:
+        with warnings.catch_warnings():
+            # numpy warns of what it then refuses, or reads up to.
+            warnings.simplefilter("ignore")
+            loaded = trimesh.load(path, process=False, maintain_order=maintain_order)
+            if isinstance(loaded, trimesh.Scene):
+                _check_scene(loaded, path.name, limits)
+                loaded = _joined(loaded)
+    except (InputError, MemoryError):
         raise
     except Exception as error:
         raise InputError(
-            f"{path.name} could not be read as a {path.suffix[1:].upper()} mesh: "
-            f"{_first_line(error)} Is the file complete?"
+            f"{path.name} could not be read as {path.suffix[1:].upper()} mesh: "
+            f"{_reason(error)}. Is the file complete?"
         ) from error
     if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
         count = len(getattr(loaded, "vertices", ()))
@@ -322,6 +349,7 @@ def _read(path: Path, maintain_order: bool = True) -> trimesh.Trimesh:
             f"{path.name} has no triangles ({count} vertices only); photographs need "
             "a surface. Triangulate the point cloud first."
         )
+    check_counts(path.name, len(loaded.vertices), len(loaded.faces), limits)
     return loaded
 
 
@@ -367,6 +395,19 @@ def _as_in_ply(
     return (own, corners) if same else (vertices, faces)
 
 
+def _check_scene(scene: trimesh.Scene, name: str, limits: Limits) -> None:
+    """Raises InputError if a scene is too large once each part stands where it is used."""
+    parts = [
+        scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry
+    ]
+    check_counts(
+        name,
+        sum(len(getattr(part, "vertices", ())) for part in parts),
+        sum(len(getattr(part, "faces", ())) for part in parts),
+        limits,
+    )
+
+
 def _corner_uv(loaded: trimesh.Trimesh) -> np.ndarray | None:
     uv = getattr(loaded.visual, "uv", None)
     if uv is None or np.shape(uv) != (len(loaded.vertices), 2):
@@ -374,16 +415,21 @@ def _corner_uv(loaded: trimesh.Trimesh) -> np.ndarray | None:
     return np.asarray(uv, dtype=np.float64)[loaded.faces]
 
 
-def _texture(loaded: trimesh.Trimesh) -> np.ndarray | None:
-    """The picture of the material, whichever kind it is."""
+def _texture(loaded: trimesh.Trimesh, limits: Limits) -> np.ndarray | None:
+    """The picture of the material, whichever kind it is; None if it is of no use."""
     material = getattr(loaded.visual, "material", None)
     for name in ("image", "baseColorTexture"):
         picture = getattr(material, name, None)
         if picture is not None:
-            try:
-                return np.asarray(picture.convert("RGB"), dtype=np.uint8)
-            except OSError:  # Truncated: the mesh is of use without it.
+            if picture.width * picture.height > limits.photo_pixels:
                 return None
+            try:
+                pixels = np.asarray(picture.convert("RGB"), dtype=np.uint8)
+            except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+                # Truncated or damaged: the mesh is of use without it.
+                return None
+            # trimesh puts a small grey square for a material that is not there.
+            return None if pixels.shape[:2] == (2, 2) else pixels
     return None
 
 
@@ -415,6 +461,15 @@ def _unit_rows(rows: np.ndarray) -> np.ndarray:
     return rows / np.where(lengths > 0.0, lengths, 1.0)
 
 
-def _first_line(error: Exception) -> str:
-    text = str(error).strip().splitlines()
-    return (text[0].rstrip(".") if text else type(error).__name__) + "."
+def _reason(error: Exception) -> str:
+    """What a reader ran into, in words; its own where they are some."""
+    text = " ".join(str(error).split())
+    if "escapes resolver root" in text:
+        return "it names a file outside its own folder, which is not read"
+    if isinstance(error, IndexError) or "index outside" in text:
+        return "it names vertices or parts that do not exist"
+    if isinstance(error, ValueError) and "could not be read to its end" in text:
+        return "there are words where numbers should be"
+    if isinstance(error, ValueError) and 20 < len(text) < 120 and "<" not in text:
+        return text.rstrip(".!")
+    return "its parts do not fit together"

@@ -11,11 +11,11 @@ from PIL import ExifTags, Image, ImageOps
 
 from photoreg.checks import check_input_file
 from photoreg.errors import InputError
+from photoreg.limits import Limits
 from photoreg.sources import SourceFile, source_file
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 MIN_SIDE_PX = 16
-MAX_PIXELS = 120_000_000
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -89,29 +89,34 @@ class Photo:
         )
 
 
-def load_photo(path: Path | str) -> Photo:
+def load_photo(path: Path | str, limits: Limits | None = None) -> Photo:
     """Loads a JPEG, PNG or TIFF; applies EXIF orientation; alpha becomes the mask.
+
+    Args:
+        path: The file.
+        limits: How large it may be; None: as the environment says.
 
     Raises:
         InputError: if the file is missing, empty, not a picture, truncated, too
-            small (under 16 px a side) or too large (over 120 megapixels).
+            small (under 16 px a side) or too large (by default over 120 megapixels).
     """
-    path = check_input_file(Path(path), "photo")
+    limits = limits or Limits.of_environment()
+    path = check_input_file(Path(path), "photo", limits.file_mb)
     try:
         with warnings.catch_warnings():
             # Size is checked below, with our own limit and sentence.
             warnings.simplefilter("ignore")
             with Image.open(path, formats=("JPEG", "PNG", "TIFF")) as image:
-                if image.width * image.height > MAX_PIXELS:
+                if image.width * image.height > limits.photo_pixels:
                     raise InputError(
                         f"{path.name} has {image.width}x{image.height} pixels; the limit "
-                        f"is {MAX_PIXELS // 1_000_000} megapixels. Reduce it first."
+                        f"is {limits.photo_megapixels:g} megapixels. Reduce it first."
                     )
                 focal_px = _exif_focal_px(image)
                 upright = ImageOps.exif_transpose(image)
                 return Photo(
                     path.name,
-                    _srgb_bytes(upright),
+                    _srgb_bytes(upright, path.name),
                     _alpha_mask(upright),
                     focal_px,
                     source_file(path),
@@ -121,7 +126,7 @@ def load_photo(path: Path | str) -> Photo:
     except Image.DecompressionBombError as error:
         raise InputError(
             f"{path.name} has too many pixels; the limit is "
-            f"{MAX_PIXELS // 1_000_000} megapixels. Reduce it first."
+            f"{limits.photo_megapixels:g} megapixels. Reduce it first."
         ) from error
     except Exception as error:
         raise InputError(
@@ -130,11 +135,21 @@ def load_photo(path: Path | str) -> Photo:
         ) from error
 
 
-def _srgb_bytes(image: Image.Image) -> np.ndarray:
+def _srgb_bytes(image: Image.Image, name: str) -> np.ndarray:
     if image.mode.startswith("I") or image.mode == "F":
-        # 16-bit grey: Pillow's own conversion would clip, not scale.
-        grey = np.asarray(image, dtype=np.float64)
-        top = 65535.0 if grey.max() > 255.0 else 255.0
+        # Pillow's own conversion would clip, not scale.
+        grey = np.asarray(image, dtype=np.float32)
+        lowest, highest = float(grey.min()), float(grey.max())
+        if not np.isfinite([lowest, highest]).all():
+            raise InputError(
+                f"{name} has pixels that are not finite numbers. Save it with whole "
+                "numbers, of 8 or 16 bits."
+            )
+        if image.mode == "F" and highest <= 1.0:
+            top = 1.0
+        else:
+            is_deep = image.mode.startswith("I;16") or highest > 255.0
+            top = 65535.0 if is_deep else 255.0
         grey_bytes = np.clip(np.rint(grey / top * 255.0), 0, 255).astype(np.uint8)
         return np.repeat(grey_bytes[:, :, None], 3, axis=2)
     return np.array(image.convert("RGB"), dtype=np.uint8)

@@ -1,10 +1,10 @@
 """Which of several files are the cameras: dropped together, or out of a zip."""
 
-import json
 from pathlib import Path
 
 from photoreg.errors import InputError
 from photoreg.formats.cameras_json import FORMAT
+from photoreg.formats.parsing import read_json
 
 CAMERA_SUFFIXES = (".json", ".mlp", ".yml", ".yaml", ".out", ".cam", ".txt", ".bin")
 """Suffixes of all files that a set of cameras may consist of."""
@@ -52,8 +52,8 @@ def _is_of_cameras(path: Path) -> bool:
     """Whether a file's content is that of cameras, as far as its beginning tells."""
     if path.suffix.lower() == ".json":
         try:
-            document = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError, RecursionError):
+            document = read_json(path, "camera file")
+        except (InputError, OSError):
             return False
         return isinstance(document, dict) and (
             "frames" in document or document.get("format") == FORMAT

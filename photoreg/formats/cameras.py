@@ -1,7 +1,6 @@
 """Every camera format: its name, its place, what it keeps and loses, out and in."""
 
 import dataclasses
-import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
@@ -22,6 +21,7 @@ from photoreg.formats.colmap import (
 from photoreg.formats.meshlab import load_meshlab, save_meshlab
 from photoreg.formats.nerfstudio import load_nerfstudio, save_nerfstudio
 from photoreg.formats.opencv_yaml import load_opencv, save_opencv
+from photoreg.formats.parsing import read_json
 from photoreg.formats.photo_files import is_turned
 from photoreg.formats.texrecon import load_texrecon, save_texrecon
 
@@ -226,8 +226,8 @@ def _name_of_folder(folder: Path) -> FormatName:
 
 def _is_nerfstudio(path: Path) -> bool:
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        document = read_json(path, "camera file")
+    except (InputError, OSError):
         return False
     return isinstance(document, dict) and "frames" in document
 

@@ -13,8 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from photoreg.camera import Camera
-from photoreg.checks import check_input_file, check_output_file
+from photoreg.checks import check_output_file
 from photoreg.errors import InputError, OutputError
+from photoreg.formats.camera_set import photo_name
+from photoreg.formats.parsing import read_json
 from photoreg.photo import Photo
 
 FORMAT = "photoreg-cameras"
@@ -70,11 +72,8 @@ def load_cameras(path: Path | str) -> CameraFile:
         InputError: if the file is missing, is not JSON, is of another format or a
             newer version, or a camera in it is not valid; the message names it.
     """
-    path = check_input_file(Path(path), "camera file")
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
-        raise InputError(f"{path.name} is not a JSON file: {error}.") from error
+    path = Path(path)
+    document = read_json(path, "camera file")
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise InputError(
             f'{path.name} is not a photoreg camera file: it should hold "format": '
@@ -109,13 +108,16 @@ def _parse_camera(entry: object, where: str) -> tuple[str, Camera]:
     if missing:
         raise InputError(f"{where} lacks {', '.join(missing)}.")
     name, size = entry["photo"], (entry["width"], entry["height"])
-    if not isinstance(name, str) or not name:
-        raise InputError(f'{where}: "photo" should be a file name, but is {name!r}.')
+    if not isinstance(name, str) or not photo_name(name) or not name.isprintable():
+        raise InputError(
+            f'{where}: "photo" should be a file name, but is {name!r:.80}.'
+        )
     if not all(type(side) is int and 0 < side < 1_000_000 for side in size):
         raise InputError(
             f"{where} ({name}): width and height should be positive whole numbers, but "
             f"are {size[0]!r} and {size[1]!r}."
         )
+    name = photo_name(name)
     try:
         return name, Camera(entry["K"], entry["R"], entry["t"], *size)
     except InputError as error:

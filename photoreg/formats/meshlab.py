@@ -42,7 +42,8 @@ from photoreg.formats.parsing import (
 )
 from photoreg.formats.photo_files import displayed_size, is_turned, path_from
 from photoreg.formats.writing import write_files
-from photoreg.photo import MAX_PIXELS, load_photo
+from photoreg.limits import Limits
+from photoreg.photo import load_photo
 
 SMALL_SHIFT_PX = 0.05
 """What turning the camera by the rest of a pixel may cost before it is told."""
@@ -78,7 +79,7 @@ def save_meshlab(path: Path, cameras: CameraSet) -> Saved:
         camera, lost = without(name, camera, "MeshLab", "skew")
         losses += lost
         padded, corner = centred(camera)
-        if padded.width * padded.height > MAX_PIXELS:
+        if padded.width * padded.height > Limits.of_environment().photo_pixels:
             raise InputError(
                 f"{name}: its principal point is so far off that a copy padded to "
                 f"{padded.width}x{padded.height} px would be needed for MeshLab."
@@ -213,7 +214,7 @@ def load_meshlab(path: Path) -> dict[str, Camera]:
         InputError: if it is not a project, a camera is not valid or has lens
             distortion, or its meshes are placed by different matrices.
     """
-    text = read_text(path, "MeshLab project", max_bytes=1 << 28)
+    text = read_text(path, "MeshLab project")
     if "<!ENTITY" in text:
         raise InputError(f"{path.name} defines entities, which MeshLab does not.")
     try:

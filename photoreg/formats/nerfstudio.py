@@ -30,7 +30,7 @@ from photoreg.formats.camera_set import (
 from photoreg.formats.parsing import (
     camera_of,
     finite,
-    read_text,
+    read_json,
     refuse_distortion,
     size_px,
 )
@@ -86,10 +86,7 @@ def load_nerfstudio(path: Path, photos: Mapping[str, Path]) -> dict[str, Camera]
         InputError: if it is not such a file, a frame lacks something, or there is
             lens distortion.
     """
-    try:
-        document = json.loads(read_text(path, "camera file"))
-    except (json.JSONDecodeError, RecursionError) as error:
-        raise InputError(f"{path.name} is not a JSON file: {error}.") from error
+    document = read_json(path, "camera file")
     frames = document.get("frames") if isinstance(document, dict) else None
     if not isinstance(frames, list):
         raise InputError(f'{path.name} should hold a list "frames".')

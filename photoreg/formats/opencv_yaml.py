@@ -47,7 +47,7 @@ def load_opencv(path: Path) -> dict[str, Camera]:
     Raises:
         InputError: if it is not such a file or a camera in it is not valid.
     """
-    text = read_text(path, "camera file", max_bytes=1 << 28)
+    text = read_text(path, "camera file")
     storage = cv2.FileStorage()
     try:
         storage.open(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)

@@ -1,30 +1,49 @@
 """Numbers and text out of other programs' files, each fault in one sentence."""
 
+import json
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from photoreg.camera import Camera
 from photoreg.checks import check_input_file
 from photoreg.errors import InputError
 from photoreg.formats.camera_set import MAX_SIDE_PX
+from photoreg.limits import Limits
 
 
-def read_text(path: Path, what: str, max_bytes: int = 1 << 30) -> str:
-    """The whole text of a file.
+def read_text(path: Path, what: str, max_mb: float | None = None) -> str:
+    """The whole text of a file, by default up to the size that `Limits` says.
 
     Raises:
         InputError: if it is missing, empty, too long or not UTF-8.
     """
-    check_input_file(path, what)
-    if path.stat().st_size > max_bytes:
-        raise InputError(
-            f"{path.name} has {path.stat().st_size:,} bytes, too many for a {what}."
-        )
+    check_input_file(path, what, max_mb or Limits.of_environment().camera_file_mb)
     try:
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path.name} is not a text file ({what}).") from error
+
+
+def read_json(path: Path, what: str) -> Any:
+    """What a JSON file holds.
+
+    Raises:
+        InputError: if it is missing, empty, too long or not JSON.
+    """
+    check_input_file(path, what, Limits.of_environment().camera_file_mb)
+    try:
+        return json.loads(path.read_bytes())
+    except json.JSONDecodeError as error:
+        reason = str(error)
+    except UnicodeDecodeError:
+        reason = "it is not text"
+    except RecursionError:
+        reason = "it is nested too deep"
+    except ValueError:
+        reason = "a number in it has too many digits"
+    raise InputError(f"{path.name} is not a JSON file: {reason}.")
 
 
 def finite(value: object, where: str, what: str) -> float:

@@ -99,7 +99,7 @@ def _cameras(
 ) -> Iterator[tuple[str, Camera]]:
     for path in paths:
         where = path.name
-        lines = read_text(path, "camera file", max_bytes=10_000).split("\n")
+        lines = read_text(path, "camera file", max_mb=0.01).split("\n")
         pose = numbers(lines[0].split(), 12, where, "the first line (t, R)")
         second = lines[1].split() if len(lines) > 1 else []
         lens = numbers(second, (1, 3, 4, 6), where, "the second line (f d0 d1 ...)")

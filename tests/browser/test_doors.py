@@ -314,10 +314,10 @@ def test_a_browser_that_heeds_no_limit_is_refused_by_the_server(guarded, entered
         browser.send(start("huge", 10**12, 10**6))
         browser.send(start("negative", -1, 1))
         browser.send(start("crumbs", 1000, 10**9))
-        browser.send(start("liar", 1000, 2))
+        browser.send(start("liar", 3000, 2))
         for index in range(2):
-            browser.send(part("liar", index, b"x" * 900))
-        browser.send(start("honest", 1000, 2))
+            browser.send(part("liar", index, b"x" * 1800))
+        browser.send(start("honest", 3000, 2))
         wait_until(lambda: "honest" in upload, "the last message was handled")
         assert not {"huge", "negative", "crumbs", "liar"} & set(upload)
         heard = b""
