@@ -6,7 +6,7 @@ BIN := .venv/bin
 DATA ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-slow test-interop crash load check format bench screenshots clean
+.PHONY: help run test test-slow test-interop crash fuzz lying-input load check format bench screenshots clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -32,6 +32,12 @@ crash: .venv/.stamp-dev ## Kill server and worker 200 times at random moments an
 load: .venv/.stamp-dev ## Ten browsers at once watch runs for ten minutes; ARGS="--minutes 1 --browsers 4 --pages 1"
 	@$(BIN)/python tests/browser/ensure_chromium.py
 	$(BIN)/python -m tests.bench.load $(ARGS)
+
+fuzz: .venv/.stamp-dev ## Feed damaged files to every reader, a minute each; ARGS="300 ply" picks
+	$(BIN)/python -m tests.fuzz $(ARGS)
+
+lying-input: .venv/.stamp-dev ## Write the table of lying inputs and what each gets, to build/lying-input
+	$(BIN)/pytest -q tests/test_lying_input.py
 
 check: .venv/.stamp-dev ## Lint, formatting, types, import layers
 	$(BIN)/ruff check .

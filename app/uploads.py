@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import viser
 from viser import _messages
+from viser.infra import WebsockClientConnection
 
 from photoreg.limits import Limits, variable
 
@@ -97,6 +98,14 @@ def limit_uploads(
             return
         part(browser, message)  # pyright: ignore[reportArgumentType]
 
+    def on_leave(connection: WebsockClientConnection) -> None:
+        # viser forgets the files of pages only, not of what merely connected.
+        gone = [k for k, t in transfers.items() if t.browser == connection.client_id]
+        for key in gone:
+            del transfers[key]
+            gui._current_file_upload_states.pop(key, None)
+
+    server._websock_server.on_client_disconnect(on_leave)
     for kind, handler in (
         (_messages.FileTransferStartUpload, on_start),
         (_messages.FileTransferPart, on_part),

@@ -16,8 +16,8 @@ from photoreg.camera import Camera
 from photoreg.formats.camera_set import CameraSet
 from photoreg.formats.cameras import read_cameras, write_cameras
 from photoreg.limits import Limits
-from photoreg.mesh import Mesh, load_mesh
-from photoreg.photo import Photo, load_photo
+from photoreg.mesh import MESH_SUFFIXES, Mesh, load_mesh
+from photoreg.photo import PHOTO_SUFFIXES, Photo, load_photo
 
 LIMITS = Limits(
     file_mb=1.0, camera_file_mb=1.0, faces_millions=0.05, photo_megapixels=0.2
@@ -46,12 +46,17 @@ def read(case: Case, folder: Path) -> Any:
         path.write_bytes(case.content)
     else:
         case.content(path)
+    return read_path(path)
+
+
+def read_path(path: Path) -> Any:
+    """Reads a mesh, a photo, or cameras, by the suffix."""
     suffix = path.suffix.lower()
-    if suffix in (".obj", ".ply", ".stl", ".glb", ".off"):
+    if suffix in MESH_SUFFIXES:
         return load_mesh(path, LIMITS)
-    if suffix in (".jpg", ".jpeg", ".png", ".tif", ".tiff"):
+    if suffix in PHOTO_SUFFIXES:
         return load_photo(path, LIMITS)
-    return read_cameras(path, photos=sorted(folder.glob("*.png")))
+    return read_cameras(path, photos=sorted(path.parent.glob("*.png")))
 
 
 def described(value: Any) -> str:

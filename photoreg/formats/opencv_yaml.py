@@ -48,6 +48,12 @@ def load_opencv(path: Path) -> dict[str, Camera]:
         InputError: if it is not such a file or a camera in it is not valid.
     """
     text = read_text(path, "camera file")
+    if not text.startswith("%YAML") or "\n%" in text:
+        # OpenCV looks for the end of any other directive for ever.
+        raise InputError(
+            f"{path.name} is not a YAML file that OpenCV reads; it should begin with "
+            "%YAML and be complete."
+        )
     storage = cv2.FileStorage()
     try:
         storage.open(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
