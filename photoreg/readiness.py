@@ -11,7 +11,7 @@ from photoreg.camera import Camera
 from photoreg.errors import InputError
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
-from photoreg.sampling import sample_surface
+from photoreg.sampling import SurfaceSamples, sample_surface
 from photoreg.visibility import visible
 
 N_SAMPLES = 3_000
@@ -41,6 +41,8 @@ class Readiness:
     """Photos that share hardly any of what they see with another one."""
     plain: tuple[str, ...]
     """Photos with too little texture on the surface."""
+    is_inside_out: bool = False
+    """Whether cameras that see nothing would see the surface if its faces were turned."""
 
     @property
     def is_possible(self) -> bool:
@@ -50,6 +52,12 @@ class Readiness:
     @property
     def problems(self) -> tuple[str, ...]:
         """What stands in the way and what to do about it, one sentence each."""
+        if self.is_inside_out:
+            return (
+                "The mesh is inside out: its triangles turn their backs to "
+                f"{', '.join(self.blind)}. Flip its normals in the program that made "
+                "it, and open it again.",
+            )
         found = [
             f"The camera of {name} sees nothing of the surface: align it in tab 2."
             for name in self.blind
@@ -111,7 +119,26 @@ def check_readiness(
         if texture_contrast(photo, camera, points) < MIN_CONTRAST:
             plain.append(photo.name)
     overlap = float(shared.sum() / max(1, either.sum()))
-    return Readiness(overlap, tuple(blind), tuple(alone), tuple(plain))
+    return Readiness(
+        overlap,
+        tuple(blind),
+        tuple(alone),
+        tuple(plain),
+        bool(blind) and _see_its_back(samples, mesh, photos, cameras, blind),
+    )
+
+
+def _see_its_back(
+    samples: SurfaceSamples,
+    mesh: Mesh,
+    photos: Sequence[Photo],
+    cameras: Sequence[Camera],
+    blind: Sequence[str],
+) -> bool:
+    """Whether every camera that sees nothing sees the surface from behind."""
+    turned = dataclasses.replace(samples, normals=-samples.normals)
+    theirs = [c for p, c in zip(photos, cameras, strict=True) if p.name in blind]
+    return bool(visible(turned, theirs, mesh, "rays", MIN_COSINE).any(axis=1).all())
 
 
 def texture_contrast(
