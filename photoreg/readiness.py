@@ -42,21 +42,20 @@ class Readiness:
     plain: tuple[str, ...]
     """Photos with too little texture on the surface."""
     is_inside_out: bool = False
-    """Whether cameras that see nothing would see the surface if its faces were turned."""
+    """Whether all cameras would see far more if the mesh's faces were turned."""
 
     @property
     def is_possible(self) -> bool:
         """Whether a refinement can start."""
-        return self.overlap > 0.0
+        return self.overlap > 0.0 and not self.is_inside_out
 
     @property
     def problems(self) -> tuple[str, ...]:
         """What stands in the way and what to do about it, one sentence each."""
         if self.is_inside_out:
             return (
-                "The mesh is inside out: its triangles turn their backs to "
-                f"{', '.join(self.blind)}. Flip its normals in the program that made "
-                "it, and open it again.",
+                "The mesh is inside out: its triangles turn their backs to the cameras. "
+                "Flip its normals in the program that made it, and open it again.",
             )
         found = [
             f"The camera of {name} sees nothing of the surface: align it in tab 2."
@@ -124,21 +123,23 @@ def check_readiness(
         tuple(blind),
         tuple(alone),
         tuple(plain),
-        bool(blind) and _see_its_back(samples, mesh, photos, cameras, blind),
+        _is_inside_out(samples, mesh, cameras, seen),
     )
 
 
-def _see_its_back(
+def _is_inside_out(
     samples: SurfaceSamples,
     mesh: Mesh,
-    photos: Sequence[Photo],
     cameras: Sequence[Camera],
-    blind: Sequence[str],
+    seen: Bool[np.ndarray, "n_cameras n"],
 ) -> bool:
-    """Whether every camera that sees nothing sees the surface from behind."""
+    """Whether every camera sees the surface from behind, as good as nowhere in front."""
+    front = seen.sum(axis=1)
+    if (front > FEW * len(samples.points)).any():
+        return False
     turned = dataclasses.replace(samples, normals=-samples.normals)
-    theirs = [c for p, c in zip(photos, cameras, strict=True) if p.name in blind]
-    return bool(visible(turned, theirs, mesh, "rays", MIN_COSINE).any(axis=1).all())
+    back = visible(turned, cameras, mesh, "rays", MIN_COSINE).sum(axis=1)
+    return bool((back > 10 * front).all())
 
 
 def texture_contrast(
