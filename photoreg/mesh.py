@@ -466,6 +466,11 @@ def _reason(error: Exception) -> str:
     text = " ".join(str(error).split())
     if "escapes resolver root" in text:
         return "it names a file outside its own folder, which is not read"
+    if "PLY is unexpected length" in text:
+        return (
+            "its length is not what its header says, or its faces have different numbers "
+            "of corners (triangulate them)"
+        )
     if isinstance(error, IndexError) or "index outside" in text:
         return "it names vertices or parts that do not exist"
     if isinstance(error, ValueError) and "could not be read to its end" in text:

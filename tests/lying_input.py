@@ -386,7 +386,7 @@ def ply_cases() -> Iterator[Case]:
         "",
     )
     quads = [[0, 1, 2, 3], [0, 1, 2], [1, 2, 3]]
-    yield Case("triangles and quads", "m.ply", ply(V, quads), "")
+    yield Case("triangles and quads", "m.ply", ply(V, quads), "triangulate")
     yield Case(
         "triangles and quads, as text",
         "m.ply",
