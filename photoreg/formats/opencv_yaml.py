@@ -4,6 +4,7 @@ A list "cameras" of {photo, width, height, K, R, t, P}. The axes and the pixel (
 are those of `cv2.projectPoints`, which are photoreg's own.
 """
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -48,7 +49,7 @@ def load_opencv(path: Path) -> dict[str, Camera]:
         InputError: if it is not such a file or a camera in it is not valid.
     """
     text = read_text(path, "camera file")
-    if not text.startswith("%YAML") or "\n%" in text:
+    if re.match(r"%YAML[: ]\d+\.\d+\s*\n", text) is None or "\n%" in text:
         # OpenCV looks for the end of any other directive for ever.
         raise InputError(
             f"{path.name} is not a YAML file that OpenCV reads; it should begin with "
