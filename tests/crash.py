@@ -55,6 +55,9 @@ RUN_EVERY = 4
 TELL_EVERY = 10
 """Lives after which the figures so far are printed."""
 
+N_BACK = 50
+"""Steps back that are compared."""
+
 START_S, TOLD_S = 120.0, 60.0
 
 
@@ -333,9 +336,14 @@ def count(state: State) -> int:
 
 
 def fingerprint(session: Session) -> str:
-    """Of all that undo and redo reach: names, cameras, points, photos."""
+    """Of what undo and redo reach: names, cameras, points, photos.
+
+    Not of all: after steps were taken back the project reaches further back than the
+    program did, which forgets what lies more than 200 steps behind the newest.
+    """
     with session.lock:
         steps, now = session.history()
+    steps, now = steps[max(0, now - N_BACK) :], min(now, N_BACK)
     digest = hashlib.sha256(str(now).encode())
     for i, step in enumerate(steps):
         name = step.name if i else None  # What led to the first is not known any more.
