@@ -75,11 +75,7 @@ class ExportPanel:
         self._unseen = Choice(gui, bus, "Unseen", {}, configure("unseen"))
         self._colour = gui.add_rgb("Colour", (128, 128, 128), visible=False)
         self._bake = gui.add_button("Make the texture", icon=viser.Icon.BRUSH)
-        self._bar = gui.add_progress_bar(0.0, visible=False, animated=True)
         self._text = gui.add_markdown("")
-        self._stop = gui.add_button(
-            "Cancel", icon=viser.Icon.PLAYER_STOP, color="red", visible=False
-        )
         self._show = gui.add_checkbox("Show it on the model", True, visible=False)
         with gui.add_folder(
             "Which photo paints where", expand_by_default=False, visible=False
@@ -132,11 +128,6 @@ class ExportPanel:
         def _(_: viser.GuiEvent) -> None:
             conductor.bake()
 
-        @self._stop.on_click
-        @guarded
-        def _(_: viser.GuiEvent) -> None:
-            conductor.stop_job()
-
         @self._show.on_update
         @guarded
         def _(_: viser.GuiEvent) -> None:
@@ -158,11 +149,6 @@ class ExportPanel:
         put(self._colour, "visible", config.unseen == "colour")
         put_value(self._colour, config.unseen_colour)
         put(self._bake, "disabled", not idle or not usable)
-        put(self._bar, "visible", job is not None)
-        put(self._stop, "visible", job is not None and job.can_stop)
-        put(self._stop, "disabled", job is not None and job.is_stopping)
-        if job is not None:
-            put_value(self._bar, round(100.0 * job.fraction, 1))
         self._format.show(choice.format)
         self._picture.show(choice.picture, visible=choice.format != "coloured ply")
         put(self._model, "disabled", state.texture is None or not idle)

@@ -116,7 +116,7 @@ def app(open_app_once, scene):
 def second_window(app, chromium):
     """Another browser on the same app, with another window and finer pixels."""
     window = chromium.new_page(
-        viewport={"width": 1500, "height": 560}, device_scale_factor=1.5
+        viewport={"width": 1200, "height": 450}, device_scale_factor=1.5
     )
     yield Driver(window, f"http://127.0.0.1:{app.page.port}", pixel_ratio=1.5)
     window.close()
