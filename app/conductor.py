@@ -277,6 +277,8 @@ class Conductor:
     def _follow(self, old: State, new: State) -> None:
         """Keeps the pictures up to date with the cameras and the choices."""
         self._follow_review(old, new)
+        if not new.document.shows_same_as(old.document):
+            self.picture = self.drawn = None
         if new.run.is_active:
             if wanted_view(new) != wanted_view(old):
                 self.worker.send(wanted_view(new))

@@ -181,6 +181,16 @@ class Session:
 
     def _replace(self, new: State) -> None:
         old = self._state
+        if not new.document.shows_same_as(old.document):
+            # What was measured of another scene would mislead.
+            new = dataclasses.replace(
+                new,
+                agreement=None,
+                readiness=None,
+                run=dataclasses.replace(new.run, error_px=None)
+                if new.run.status == "idle"
+                else new.run,
+            )
         self._state = dataclasses.replace(
             new,
             selected=min(new.selected, max(0, len(new.document.photos) - 1)),

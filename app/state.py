@@ -146,6 +146,15 @@ class Document:
         """Cameras of the photos that take part."""
         return tuple(entry.camera for entry in self.used)
 
+    def shows_same_as(self, other: "Document") -> bool:
+        """Whether mesh and photos in use are the same, whatever their cameras."""
+        ours, theirs = self.used, other.used
+        return (
+            self.mesh is other.mesh
+            and len(ours) == len(theirs)
+            and all(a.photo is b.photo for a, b in zip(ours, theirs, strict=True))
+        )
+
     def true_cameras(self, names: Sequence[str]) -> tuple[Camera, ...] | None:
         """The true cameras of these photos, or None unless all are known."""
         known = dict(self.truth)

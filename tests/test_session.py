@@ -10,7 +10,7 @@ from app import photo_list
 from app import session as rules
 from app.run import Run, Status
 from app.session import Session
-from app.state import Document, PhotoEntry, State, same_camera
+from app.state import Agreement, Document, PhotoEntry, State, same_camera
 from app.warm_up import toy_scene
 from photoreg.camera import Camera
 from photoreg.errors import InputError, RefinementError
@@ -239,3 +239,15 @@ def test_true_cameras_are_known_only_if_all_are(document):
     assert one.true_cameras(names) is None
     assert one.true_cameras(names[:1]) == (document.used_cameras[0],)
     assert document.true_cameras(names) is None
+
+
+def test_what_was_measured_does_not_outlive_its_scene(session):
+    measured = Agreement(1.0, 2.0, 0.5)
+    session.change(
+        None, rules.setting(agreement=measured, run=Run(error_px=18.0), readiness=None)
+    )
+    move(session, 0, 1.0)
+    assert session.state.agreement is measured, "it is measured anew in no time"
+    session.change("Leave out", rules.with_entry(1, enabled=False))
+    assert session.state.agreement is None
+    assert session.state.run.error_px is None
