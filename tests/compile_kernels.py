@@ -28,7 +28,8 @@ def _search_and_bake() -> None:
         config = dataclasses.replace(config, genetic=genetic, polish_after=False)
         list(refine(mesh, photos, cameras, config))
     make_scene(SceneOptions(kind="clean", width=80, height=60))
-    bake_texture(mesh, photos, cameras, TextureConfig(size=64))
+    for config in (TextureConfig(size=64), TextureConfig(size=64, mode="best")):
+        bake_texture(mesh, photos, cameras, config)
 
 
 def _run(part: Callable[[], None]) -> None:

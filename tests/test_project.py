@@ -405,6 +405,7 @@ def _write_until_killed(folder: Path, started) -> None:
         (folder / "telling").replace(folder / "told")
 
 
+@pytest.mark.slow
 def test_a_killed_writer_leaves_all_it_told_and_no_lock(tmp_path):
     context = multiprocessing.get_context("spawn")
     folder = tmp_path / "p"
