@@ -31,7 +31,7 @@ def _opening(chromium: Browser) -> Iterator[OpenApp]:
         session = Session(State(document=document))
         conductor = Conductor(session, warm_up=False)
         page = Page(session, conductor, port=0, shadows=False)
-        window = chromium.new_page(viewport={"width": 1000, "height": 520})
+        window = chromium.new_page(viewport={"width": 1100, "height": 700})
         driver = Driver(window, f"http://127.0.0.1:{page.port}")
         running.append(App(session, conductor, page, driver))
         return running[-1]

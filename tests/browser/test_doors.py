@@ -34,7 +34,7 @@ def guarded():
 @pytest.fixture(scope="module")
 def entered(guarded, chromium):
     """A browser that opened the printed address, and every request that it made."""
-    context = chromium.new_context(viewport={"width": 1000, "height": 520})
+    context = chromium.new_context(viewport={"width": 1100, "height": 700})
     asked, problems = [], []
 
     def watch(route):

@@ -116,7 +116,7 @@ def app(open_app_once, scene):
 def second_window(app, chromium):
     """Another browser on the same app, with another window and finer pixels."""
     window = chromium.new_page(
-        viewport={"width": 1200, "height": 450}, device_scale_factor=1.5
+        viewport={"width": 1500, "height": 560}, device_scale_factor=1.5
     )
     yield Driver(window, f"http://127.0.0.1:{app.page.port}", pixel_ratio=1.5)
     window.close()
@@ -165,7 +165,9 @@ def with_photo(state, entry: PhotoEntry):
 
 
 @pytest.mark.parametrize("mode", ["Move", "Inspect"])
-@pytest.mark.parametrize("shape", ["tall", "wide and fine"])
+@pytest.mark.parametrize(
+    "shape", ["tall", pytest.param("wide and fine", marks=pytest.mark.slow)]
+)
 def test_through_a_photo_the_mesh_covers_its_picture_to_the_pixel(
     app, scene, shape, mode, request
 ):

@@ -143,7 +143,7 @@ def test_what_is_ticked_stays_to_the_last_bit(app):
 
 def test_another_browser_sees_the_run_and_may_stop_it(app, chromium):
     start(app)
-    window = chromium.new_page(viewport={"width": 1000, "height": 520})
+    window = chromium.new_page(viewport={"width": 1100, "height": 700})
     try:
         other = Driver(window, f"http://127.0.0.1:{app.page.port}")
         other.tab("3 Refine")
