@@ -17,7 +17,7 @@ run: .venv/.stamp-app ## Start the app on 127.0.0.1:8080 with the demo open
 test: .venv/.stamp-dev ## Run all tests that are not marked slow, the browser's included
 	@$(BIN)/python tests/browser/ensure_chromium.py
 	@$(BIN)/python -m tests.compile_kernels
-	$(BIN)/pytest -n 2 --dist loadfile
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 test-slow: .venv/.stamp-dev ## Run the tests marked slow (minutes)
 	@$(BIN)/python tests/browser/ensure_chromium.py

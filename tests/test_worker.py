@@ -170,6 +170,7 @@ def improved(state: State) -> bool:
     return bool(state.run.curve) and state.run.curve[-1].best < 0.9
 
 
+@pytest.mark.slow
 def test_killing_the_worker_keeps_the_best_and_the_next_run_works(conductor):
     problems: list[str] = []
     conductor.on_problem = problems.append

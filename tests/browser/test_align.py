@@ -370,6 +370,7 @@ def test_the_help_opens_and_closes_by_the_question_mark(app):
     page.get_by_text("dolly zoom: longer, shorter lens").wait_for(state="detached")
 
 
+@pytest.mark.slow
 def test_a_second_browser_sees_the_move_and_nothing_fights(app, second):
     first, before = app.driver, app.state.document
     first.choose("View", "Move")

@@ -27,6 +27,7 @@ MEAN_COLOUR_DIFFERENCE = 15.0
 """Measured 10.8: with the margins along silhouettes, which are filled, not painted."""
 
 
+@pytest.mark.slow
 def test_a_person_s_whole_way(open_app, tmp_path):
     app = open_app(Document())
     driver, session = app.driver, app.session
