@@ -14,6 +14,7 @@ from jaxtyping import Float
 from photoreg.camera import Camera
 from photoreg.errors import InputError
 from photoreg.freedom import Freedom
+from photoreg.words import listed
 
 CameraModel = Literal["pinhole", "full"]
 Coordinates = Literal["camera", "object"]
@@ -335,9 +336,10 @@ class GeneMap:
                         at = size if held.pose else 0
                         moves = {c * per + at: reach / widths[c, at]}
                     if not alone:
-                        name = f"focal length of cameras {_listed(group)}"
+                        numbers = listed([str(photo + 1) for photo in group])
+                        name = f"focal length of cameras {numbers}"
                         if words[k] != "focal length":
-                            name = f"{words[k]} of cameras {_listed(group)}"
+                            name = f"{words[k]} of cameras {numbers}"
                         of_group.setdefault(group, [])
                         if not self.freedom.leads(c):
                             columns[of_group[group][k]].update(moves)
@@ -435,11 +437,6 @@ def rotation_vectors(R: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
     sine = np.linalg.norm(axis, axis=-1)
     angle = np.arctan2(sine, 0.5 * (np.trace(R, axis1=1, axis2=2) - 1.0))
     return axis * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 1.0)[:, None]
-
-
-def _listed(photos: Sequence[int]) -> str:
-    numbers = [str(photo + 1) for photo in photos]
-    return f"{', '.join(numbers[:-1])} and {numbers[-1]}"
 
 
 def _pixels(K: np.ndarray, points_cam: np.ndarray) -> np.ndarray:

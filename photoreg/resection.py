@@ -13,6 +13,7 @@ from photoreg.checks import check_points, check_rows
 from photoreg.errors import InputError
 from photoreg.pinhole import Models, Pairs
 from photoreg.resection_search import Search
+from photoreg.words import listed
 
 Solved = Literal["pose", "pose and focal length", "pose, focal length, principal point"]
 
@@ -359,8 +360,8 @@ def _warnings(
     sentences = []
     wrong = np.flatnonzero(~inliers)
     if len(wrong) > 0:
-        names = _listed([f"{i + 1}" for i in wrong])
-        sizes = _listed([f"{residuals[i]:.0f}" for i in wrong])
+        names = listed([f"{i + 1}" for i in wrong])
+        sizes = listed([f"{residuals[i]:.0f}" for i in wrong])
         one = len(wrong) == 1
         sentences.append(
             f"{'Pair' if one else 'Pairs'} {names} {'does' if one else 'do'} not fit the "
@@ -389,10 +390,6 @@ def _warnings(
             "pairs that are nearer and farther."
         )
     return tuple(sentences)
-
-
-def _listed(words: list[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def _plain_px(value: float) -> str:

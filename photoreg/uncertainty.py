@@ -11,6 +11,7 @@ from photoreg.increments import N_INCREMENTS, NAMES, Increments
 from photoreg.kernels_polish import rim_rows
 from photoreg.mesh import Mesh
 from photoreg.photometric import camera_rays, surface_view
+from photoreg.words import listed
 
 WEAK_SHARE = 0.5
 """A direction is called undetermined when the photos leave at least this share of the
@@ -155,7 +156,7 @@ def undetermined_directions(
         if len(parts) == 1:
             sentences.append(f"The photos hardly determine the {parts[0]}.")
         else:
-            words = f"{', '.join(parts[:-1])} and {parts[-1]} trade off."
+            words = f"{listed(parts)} trade off."
             sentences.append(words[0].upper() + words[1:])
     return tuple(sentences)
 

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 from photoreg.agreement import Disagreement
+from photoreg.words import listed
 
 Grade = Literal["convincing", "plausible", "unconvincing"]
 
@@ -65,7 +66,7 @@ def judge(fit: Disagreement, names: Sequence[str]) -> Verdict:
     if wrong:
         return Verdict(
             "unconvincing",
-            f"Unconvincing: in {_listed(wrong)} neither the colours on the surface nor "
+            f"Unconvincing: in {listed(wrong)} neither the colours on the surface nor "
             "the outline fit, so the cameras are probably wrong. Look at the overlay, "
             "align them more closely, or try the preset thorough.",
         )
@@ -73,7 +74,7 @@ def judge(fit: Disagreement, names: Sequence[str]) -> Verdict:
         odd = [name for name, agree in zip(names, agrees, strict=True) if not agree]
         return Verdict(
             "plausible",
-            f"Plausible: the outlines fit, but the colours of {_listed(odd)} differ "
+            f"Plausible: the outlines fit, but the colours of {listed(odd)} differ "
             "from the other photos', as under another light.",
         )
     loose = [
@@ -85,16 +86,10 @@ def judge(fit: Disagreement, names: Sequence[str]) -> Verdict:
         return Verdict(
             "plausible",
             "Plausible: the photos agree on the surface, but the outline in "
-            f"{_listed(loose)} does not confirm it; cameras that slide along the "
+            f"{listed(loose)} does not confirm it; cameras that slide along the "
             "surface together would look alike. Look at the overlay.",
         )
     return Verdict(
         "convincing",
         "Convincing: the photos agree on the surface, and the outlines fit.",
     )
-
-
-def _listed(names: Sequence[str]) -> str:
-    if len(names) == 1:
-        return names[0]
-    return f"{', '.join(names[:-1])} and {names[-1]}"
