@@ -5,8 +5,6 @@ for it: it holds the scene and its compiled kernels, and may be at work.
 """
 
 import logging
-import multiprocessing
-import signal
 import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -23,6 +21,7 @@ from app.messages import (
     ReadingEvent,
 )
 from app.opening import DISPLAY_FACES
+from app.processes import PATIENCE_S, spawned
 from photoreg.errors import PhotoregError
 from photoreg.mesh import MESH_SUFFIXES, load_mesh
 from photoreg.photo import load_photo
@@ -32,14 +31,11 @@ log = logging.getLogger(__name__)
 PARSED = 0.6
 """Share of a mesh's time after which its file is read; the rest thins it for display."""
 
-PATIENCE_S = 5.0
-
 
 class Reader:
     """Reads one batch of files at a time. Events arrive on a thread of this object."""
 
     def __init__(self) -> None:
-        self._context = multiprocessing.get_context("spawn")
         self._lock = threading.Lock()
         self._process: BaseProcess | None = None
         self._connection: Connection | None = None
@@ -76,11 +72,7 @@ class Reader:
     def _start(self) -> tuple[BaseProcess, Connection]:
         process, connection = self._process, self._connection
         if process is None or connection is None or not process.is_alive():
-            connection, theirs = self._context.Pipe()
-            process = self._context.Process(target=_serve, args=(theirs,), daemon=True)
-            process.start()
-            # Only while the child alone holds its end does its death end the pipe.
-            theirs.close()
+            process, connection = spawned(_serve)
             self._process, self._connection = process, connection
         return process, connection
 
@@ -109,8 +101,6 @@ def _pump(
 
 
 def _serve(connection: Connection) -> None:
-    # Ctrl-C in the terminal reaches the whole group; only the app decides.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         while True:
             for event in _read(connection.recv()):

@@ -7,21 +7,18 @@ baked in one spawned process, and the page stays quick.
 
 import dataclasses
 import logging
-import multiprocessing
 import queue
 import threading
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 
 from app.messages import Died, Event, Job, Live, Passing, Pause, Resume, Stop
+from app.processes import PATIENCE_S, spawned
 
 log = logging.getLogger(__name__)
 
 MAX_QUICK_DEATHS = 3
 """Deaths in a row without a single event after which no new process is started."""
-
-PATIENCE_S = 5.0
-"""How long a process or thread that was told to end is waited for."""
 
 
 class Worker:
@@ -37,7 +34,6 @@ class Worker:
         self._lock = threading.Lock()
         self._closed = False
         self._deaths_in_a_row = 0
-        self._context = multiprocessing.get_context("spawn")
         self._jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
         self._start()
 
@@ -81,13 +77,7 @@ class Worker:
             pump.join(timeout=PATIENCE_S)
 
     def _start(self) -> None:
-        ours, theirs = self._context.Pipe()
-        process = self._context.Process(
-            target=_enter, args=(theirs, self._warm_up), daemon=True
-        )
-        process.start()
-        # Only while the child alone holds its end does its death end the pipe.
-        theirs.close()
+        process, ours = spawned(_enter, self._warm_up)
         jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
         self._process, self._jobs = process, jobs
         sender = threading.Thread(

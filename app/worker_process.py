@@ -2,7 +2,6 @@
 
 import dataclasses
 import logging
-import signal
 import threading
 import time
 import traceback
@@ -53,8 +52,6 @@ is dragged, the next number and picture are wanted every 50 ms."""
 
 def run_worker(connection: Connection, warm_up: bool) -> None:
     """Entry of the process: works until the pipe ends."""
-    # Ctrl-C in the terminal reaches the whole group; only the app decides.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     logging.captureWarnings(True)
     try:
         WorkerProcess(connection).run(warm_up)
