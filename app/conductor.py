@@ -45,10 +45,9 @@ from app.projects import Projects
 from app.refinement import Refinement, must_be_idle
 from app.session import Session
 from app.showing import (
-    needs_comparison,
     needs_overlay,
+    next_comparison,
     shown_cameras,
-    wanted_comparison,
     wanted_reach,
     wanted_view,
 )
@@ -303,8 +302,8 @@ class Conductor:
             if old.run.status == "review":
                 self.refinement.comparison = None
             return
-        wanted = wanted_comparison(new)
-        if wanted is not None and needs_comparison(old, new):
+        wanted = next_comparison(old, new)
+        if wanted is not None:
             with self._lock:
                 self._send_scene(new.document)
                 self.worker.send(wanted)
@@ -313,16 +312,11 @@ class Conductor:
         sent = self._scene_sent
         if document.mesh is not None and (
             sent is None
-            or sent.mesh is not document.mesh
-            or len(document.used) != len(sent.used)
-            or any(
-                a.photo is not b.photo or a.mask_png != b.mask_png
-                for a, b in zip(document.used, sent.used, strict=True)
-            )
+            or not document.shows_same_as(sent)
+            or document.masks != sent.masks
         ):
             photos = tuple(entry.photo for entry in document.used)
-            masks = tuple(entry.mask_png for entry in document.used)
-            self.worker.send(SetScene(document.mesh, photos, masks))
+            self.worker.send(SetScene(document.mesh, photos, document.masks))
             self._scene_sent = document
 
     def _tell(self, sentence: str) -> None:

@@ -28,8 +28,7 @@ def needs_overlay(old: State, new: State) -> bool:
     return (
         wanted_view(new) != wanted_view(old)
         or old.document.mesh is not new.document.mesh
-        or [e.mask_png for e in old.document.used]
-        != [e.mask_png for e in new.document.used]
+        or old.document.masks != new.document.masks
         or old.run.is_active
         or not _same_cameras(shown_cameras(new), shown_cameras(old))
     )
@@ -61,15 +60,18 @@ def wanted_comparison(state: State) -> Compare | None:
     return Compare(before, shown_cameras(state), state.overlay_style, state.surface)
 
 
-def needs_comparison(old: State, new: State) -> bool:
-    """Whether the comparison of the new state is another one."""
+def next_comparison(old: State, new: State) -> Compare | None:
+    """What the new state compares; None: nothing, or what the old one did."""
     wanted, before = wanted_comparison(new), wanted_comparison(old)
-    return wanted is not None and (
-        before is None
-        or (wanted.style, wanted.surface) != (before.style, before.surface)
-        or not _same_cameras(wanted.before, before.before)
-        or not _same_cameras(wanted.after, before.after)
-    )
+    if (
+        wanted is not None
+        and before is not None
+        and (wanted.style, wanted.surface) == (before.style, before.surface)
+        and _same_cameras(wanted.before, before.before)
+        and _same_cameras(wanted.after, before.after)
+    ):
+        return None
+    return wanted
 
 
 def _same_cameras(a: tuple[Camera, ...], b: tuple[Camera, ...]) -> bool:

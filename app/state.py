@@ -146,6 +146,11 @@ class Document:
         """Cameras of the photos that take part."""
         return tuple(entry.camera for entry in self.used)
 
+    @property
+    def masks(self) -> tuple[bytes | None, ...]:
+        """Masks of the photos that take part, see ``app.masks``."""
+        return tuple(entry.mask_png for entry in self.used)
+
     def shows_same_as(self, other: "Document") -> bool:
         """Whether mesh and photos in use are the same, whatever their cameras."""
         ours, theirs = self.used, other.used
