@@ -141,7 +141,7 @@ def _refine_command(preset: RegistrationConfig) -> Callable[..., int]:
                 f"Cost {last.start_cost:.4g} -> {last.cost:.4g} in "
                 f"{last.elapsed_s:.1f} s. {last.reason} Cameras written to {out}."
             )
-            if last.verdict is not None and last.verdict.is_convincing:
+            if last.verdict is not None and last.verdict.is_credible:
                 _log.print(last.verdict.sentence)
             for sentence in (*last.standard_errors, *last.undetermined):
                 _log.print(sentence)

@@ -279,7 +279,7 @@ class _Run:
                 answer, self.cost = last, last.disagreement.total
                 self.verdict = judge(last.disagreement, self._names)
             self.best = answer.cameras
-            if self.verdict is not None and self.verdict.is_convincing:
+            if self.verdict is not None and self.verdict.is_credible:
                 break
         assert answer is not None
         self.warnings += answer.warnings
@@ -331,7 +331,7 @@ class _Run:
         if not self.cost <= self.start_cost:
             self.best, self.cost = self.start, self.start_cost
             self.reason = "Nothing better than the start was found."
-        if self.verdict is not None and not self.verdict.is_convincing:
+        if self.verdict is not None and not self.verdict.is_credible:
             self.warnings.insert(0, self.verdict.sentence)
         # The search cannot leave its box; the polish can, and by less than half an
         # interval it often rightly does.

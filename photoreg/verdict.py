@@ -41,7 +41,7 @@ class Verdict:
     """The grade and its reason, in plain words."""
 
     @property
-    def is_convincing(self) -> bool:
+    def is_credible(self) -> bool:
         """Whether nothing speaks against the answer."""
         return self.grade != "unconvincing"
 

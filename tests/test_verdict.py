@@ -31,21 +31,21 @@ def test_the_true_cameras_convince_and_the_rough_ones_do_not():
 
 def test_colours_that_agree_are_enough_where_no_outline_helps():
     verdict = judge(fit({(0, 1): 0.02}, (0.8, 0.6)), NAMES[:2])
-    assert verdict.is_convincing
+    assert verdict.is_credible
     assert verdict.grade == "plausible"
     assert "slide" in verdict.sentence
 
 
 def test_outlines_that_fit_are_enough_under_another_light():
     verdict = judge(fit({(0, 1): 0.8}, (0.02, 0.03)), NAMES[:2])
-    assert verdict.is_convincing
+    assert verdict.is_credible
     assert verdict.grade == "plausible"
     assert "light" in verdict.sentence
 
 
 def test_one_outline_does_not_speak_for_the_other_photo():
     verdict = judge(fit({(0, 1): 0.8}, (0.02, 0.5)), NAMES[:2])
-    assert not verdict.is_convincing
+    assert not verdict.is_credible
     assert "right.jpg" in verdict.sentence
     assert "left.jpg" not in verdict.sentence
 
@@ -53,7 +53,7 @@ def test_one_outline_does_not_speak_for_the_other_photo():
 def test_a_photo_needs_one_other_that_agrees_and_only_the_odd_one_is_named():
     pairs = {(0, 1): 0.02, (0, 2): 0.9, (1, 2): 0.8}
     verdict = judge(fit(pairs, (0.1, 0.1, 0.6)), NAMES)
-    assert not verdict.is_convincing
+    assert not verdict.is_credible
     assert "in top.jpg neither" in verdict.sentence
 
 
