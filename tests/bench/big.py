@@ -12,12 +12,13 @@ from playwright.sync_api import sync_playwright
 
 from app.conductor import Conductor
 from app.server import Page
-from app.session import Session, with_cameras
+from app.session import with_cameras
 from photoreg.mesh import Mesh
 from photoreg.scene_options import SceneOptions
 from photoreg.synthetic import Scene, make_scene
 from tests.bench.metrics import Metric, Setting, bench
 from tests.bench.page import readouts
+from tests.bench.served import served
 from tests.browser.driver import Driver, launch, wait_until
 
 WIDTH, HEIGHT = 8660, 5774
@@ -30,74 +31,70 @@ def big(setting: Setting) -> Iterator[Metric]:
     """Time, memory and latency with 2 million triangles and two photos of 50 Mpx."""
     del setting
     scene = make_scene(SceneOptions(kind="clean", n_faces=20_480))
-    session = Session()
-    conductor = Conductor(session)
-    served = Page(session, conductor, port=0, shadows=False)
-    try:
-        with TemporaryDirectory() as folder, sync_playwright() as playwright:
-            paths = _files(scene, Path(folder))
-            wait_until(lambda: not session.state.worker, "the engine is warm", 300)
-            before = _resident_mb(conductor)
-            browser = launch(playwright)
-            window = browser.new_page(viewport={"width": 1280, "height": 800})
-            driver = Driver(window, f"http://127.0.0.1:{served.port}")
-            driver.dismiss_toasts()
-            with _Probe(served) as probe:
-                began = time.perf_counter()
-                with window.expect_file_chooser() as chooser:
-                    driver.click("Open files …")
-                chooser.value.set_files(paths)
-                wait_until(
-                    lambda: len(session.state.document.photos) == 2,
-                    "all is read",
-                    400,
-                )
-                read_s = time.perf_counter() - began
-                wait_until(lambda: session.state.agreement is not None, "measured", 400)
-                shown_s = time.perf_counter() - began
-            yield Metric("big.read", read_s, "s", "lower", None, 1.0, "until shown")
-            yield Metric(
-                "big.measured", shown_s, "s", "lower", None, 1.0, "until agreement"
-            )
-            yield Metric(
-                "big.stall",
-                1e3 * max(probe.delays),
-                "ms",
-                "lower",
-                1000.0,
-                1.0,
-                "longest the server did not answer meanwhile",
-            )
-            for name, now in _resident_mb(conductor).items():
-                yield Metric(
-                    f"big.memory.{name}",
-                    now - before[name],
-                    "MB",
-                    "lower",
-                    tolerance=0.25,
-                    note="resident, more than without the files",
-                )
-            true = dict(zip([p.name for p in scene.photos], scene.cameras, strict=True))
-            session.change(
-                "True cameras",
-                with_cameras(
-                    {
-                        name.replace(".png", ".jpg"): camera.resized(WIDTH, HEIGHT)
-                        for name, camera in true.items()
-                    }
-                ),
-            )
-            driver.frames(N_FRAMES)
+    with (
+        served() as (session, conductor, page),
+        TemporaryDirectory() as folder,
+        sync_playwright() as playwright,
+    ):
+        paths = _files(scene, Path(folder))
+        before = _resident_mb(conductor)
+        browser = launch(playwright)
+        window = browser.new_page(viewport={"width": 1280, "height": 800})
+        driver = Driver(window, f"http://127.0.0.1:{page.port}")
+        driver.dismiss_toasts()
+        with _Probe(page) as probe:
             began = time.perf_counter()
-            driver.frames(N_FRAMES)
-            frame_ms = 1e3 * (time.perf_counter() - began) / N_FRAMES
-            note = "of the 3-D view, in software WebGL"
-            yield Metric("big.frame", frame_ms, "ms", "lower", None, 1.0, note)
-            yield from readouts("big.readout", session)
-            browser.close()
-    finally:
-        served.close()
-        conductor.close()
+            with window.expect_file_chooser() as chooser:
+                driver.click("Open files …")
+            chooser.value.set_files(paths)
+            wait_until(
+                lambda: len(session.state.document.photos) == 2,
+                "all is read",
+                400,
+            )
+            read_s = time.perf_counter() - began
+            wait_until(lambda: session.state.agreement is not None, "measured", 400)
+            shown_s = time.perf_counter() - began
+        yield Metric("big.read", read_s, "s", "lower", None, 1.0, "until shown")
+        yield Metric(
+            "big.measured", shown_s, "s", "lower", None, 1.0, "until agreement"
+        )
+        yield Metric(
+            "big.stall",
+            1e3 * max(probe.delays),
+            "ms",
+            "lower",
+            1000.0,
+            1.0,
+            "longest the server did not answer meanwhile",
+        )
+        for name, now in _resident_mb(conductor).items():
+            yield Metric(
+                f"big.memory.{name}",
+                now - before[name],
+                "MB",
+                "lower",
+                tolerance=0.25,
+                note="resident, more than without the files",
+            )
+        true = dict(zip([p.name for p in scene.photos], scene.cameras, strict=True))
+        session.change(
+            "True cameras",
+            with_cameras(
+                {
+                    name.replace(".png", ".jpg"): camera.resized(WIDTH, HEIGHT)
+                    for name, camera in true.items()
+                }
+            ),
+        )
+        driver.frames(N_FRAMES)
+        began = time.perf_counter()
+        driver.frames(N_FRAMES)
+        frame_ms = 1e3 * (time.perf_counter() - began) / N_FRAMES
+        note = "of the 3-D view, in software WebGL"
+        yield Metric("big.frame", frame_ms, "ms", "lower", None, 1.0, note)
+        yield from readouts("big.readout", session)
+        browser.close()
 
 
 def _files(scene: Scene, folder: Path) -> list[Path]:

@@ -6,13 +6,12 @@ from collections.abc import Callable, Iterator
 
 from playwright.sync_api import Browser, sync_playwright
 
-from app.conductor import Conductor
 from app.keys import BY_NAME, Stepper
 from app.opening import demo_folder, open_folder
-from app.server import Page
 from app.session import Session
 from app.state import State
 from tests.bench.metrics import Metric, Setting, bench, spread
+from tests.bench.served import served
 from tests.browser.driver import Driver, launch, wait_until
 
 N_MOVES = 20
@@ -39,20 +38,13 @@ _LISTEN = """() => {
 def page(setting: Setting) -> Iterator[Metric]:
     """Latency in milliseconds, with the demo in two windows of software WebGL."""
     del setting
-    session = Session(State(document=open_folder(demo_folder())))
-    conductor = Conductor(session)
-    served = Page(session, conductor, port=0, shadows=False)
-    try:
-        wait_until(lambda: not session.state.worker, "the engine is warm", 300)
+    with served(open_folder(demo_folder())) as (session, _, running):
         wait_until(lambda: session.state.agreement is not None, "a first measurement")
         yield from readouts("page.readout", session)
         with sync_playwright() as playwright:
             browser = launch(playwright)
-            yield from _moves(session, browser, f"http://127.0.0.1:{served.port}")
+            yield from _moves(session, browser, f"http://127.0.0.1:{running.port}")
             browser.close()
-    finally:
-        served.close()
-        conductor.close()
 
 
 class _Stamp:

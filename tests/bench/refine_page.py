@@ -13,11 +13,10 @@ from app.drawing import Drawing, Painter
 from app.messages import Live, OverlayView, Refine
 from app.opening import demo_folder, open_folder
 from app.refining import Refining
-from app.server import Page
 from app.session import Session, setting
-from app.state import State
 from photoreg.presets import RegistrationConfig
 from tests.bench.metrics import Metric, Setting, bench
+from tests.bench.served import served
 from tests.browser.driver import Driver, launch, wait_until
 
 N_STARTS = 5
@@ -43,21 +42,16 @@ def refine_page(setting: Setting) -> Iterator[Metric]:
     """The demo, refined in a window of software WebGL, and in this process."""
     del setting
     yield from _slowdown()
-    session = Session(State(document=open_folder(demo_folder())))
-    conductor = Conductor(session)
-    served = Page(session, conductor, port=0, shadows=False)
-    try:
-        with sync_playwright() as playwright:
-            browser = launch(playwright)
-            window = browser.new_page(viewport={"width": 1100, "height": 700})
-            driver = Driver(window, f"http://127.0.0.1:{served.port}")
-            wait_until(lambda: not session.state.worker, "the engine is warm", 300)
-            wait_until(lambda: session.state.speed is not None, "it is timed", 300)
-            yield from _watching(session, conductor, driver)
-            browser.close()
-    finally:
-        served.close()
-        conductor.close()
+    with (
+        served(open_folder(demo_folder())) as (session, conductor, page),
+        sync_playwright() as playwright,
+    ):
+        browser = launch(playwright)
+        window = browser.new_page(viewport={"width": 1100, "height": 700})
+        driver = Driver(window, f"http://127.0.0.1:{page.port}")
+        wait_until(lambda: session.state.speed is not None, "it is timed", 300)
+        yield from _watching(session, conductor, driver)
+        browser.close()
 
 
 def _watching(

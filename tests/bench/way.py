@@ -5,14 +5,12 @@ from collections.abc import Iterator
 
 from playwright.sync_api import sync_playwright
 
-from app.conductor import Conductor
-from app.server import Page
-from app.session import Session
 from photoreg.scene_options import SceneOptions
 from photoreg.synthetic import make_scene
 from tests.bench.metrics import Metric, Setting, bench
+from tests.bench.served import served
 from tests.browser.app import App
-from tests.browser.driver import Driver, launch, wait_until
+from tests.browser.driver import Driver, launch
 from tests.browser.own_files import whole_way
 
 NOTES = {
@@ -30,22 +28,14 @@ def way(setting: Setting) -> Iterator[Metric]:
     """Seconds of the machine for each step; a person's own time comes on top."""
     del setting
     scene = make_scene(SceneOptions(kind="shell", seed=5))
-    session = Session()
-    conductor = Conductor(session)
-    served = Page(session, conductor, port=0, shadows=False)
-    try:
-        wait_until(lambda: not session.state.worker, "the engine is warm", 300)
-        with sync_playwright() as playwright:
-            browser = launch(playwright)
-            window = browser.new_page(viewport={"width": 1280, "height": 800})
-            driver = Driver(window, f"http://127.0.0.1:{served.port}")
-            app = App(session, conductor, served, driver)
+    with served() as (session, conductor, page), sync_playwright() as playwright:
+        browser = launch(playwright)
+        window = browser.new_page(viewport={"width": 1280, "height": 800})
+        driver = Driver(window, f"http://127.0.0.1:{page.port}")
+        app = App(session, conductor, page, driver)
+        began = time.perf_counter()
+        for step in whole_way(app, scene):
+            taken = time.perf_counter() - began
+            yield Metric(f"way.{step}", taken, "s", "lower", None, 1.0, NOTES[step])
             began = time.perf_counter()
-            for step in whole_way(app, scene):
-                taken = time.perf_counter() - began
-                yield Metric(f"way.{step}", taken, "s", "lower", None, 1.0, NOTES[step])
-                began = time.perf_counter()
-            browser.close()
-    finally:
-        served.close()
-        conductor.close()
+        browser.close()

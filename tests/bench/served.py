@@ -1,0 +1,26 @@
+"""The app as the benches of the page hold it."""
+
+import contextlib
+from collections.abc import Iterator
+
+from app.conductor import Conductor
+from app.server import Page
+from app.session import Session
+from app.state import Document, State
+from tests.browser.driver import wait_until
+
+
+@contextlib.contextmanager
+def served(
+    document: Document | None = None,
+) -> Iterator[tuple[Session, Conductor, Page]]:
+    """The app on a port of its own, its engine warm; ended afterwards."""
+    session = Session(State(document=document or Document()))
+    conductor = Conductor(session)
+    page = Page(session, conductor, port=0, shadows=False)
+    try:
+        wait_until(lambda: not session.state.worker, "the engine is warm", 300)
+        yield session, conductor, page
+    finally:
+        page.close()
+        conductor.close()
