@@ -29,7 +29,7 @@ from hypothesis import strategies as st
 from photoreg.errors import PhotoregError
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
-from tests import lying_input as sound
+from tests import lying_cameras, lying_input, lying_meshes, lying_photos
 
 EXAMPLES = 200
 """Files a round; rounds go on until the time is up."""
@@ -107,54 +107,62 @@ def camera_files(kind: str) -> Content:
     """What photoreg writes in a format, by path from the folder."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        files = sound.saved(folder / sound.SAVED[kind], kind)
+        files = lying_cameras.saved(folder / lying_cameras.SAVED[kind], kind)
         return {str(f.relative_to(folder)): f.read_bytes() for f in files}
 
 
 def targets() -> dict[str, list[Content]]:
     """Sound files for each reader."""
     textured = (
-        b"mtllib m.mtl\n" + sound.obj() + b"vt 0 0\nvt 1 0\nusemtl a\nf 1/1 2/2 3/1\n"
+        b"mtllib m.mtl\n"
+        + lying_meshes.obj()
+        + b"vt 0 0\nvt 1 0\nusemtl a\nf 1/1 2/2 3/1\n"
     )
     mtl = b"newmtl a\nKd 1 1 1\nmap_Kd t.png\n"
     normals = "property float nx\nproperty float ny\nproperty float nz\n"
-    vertices = np.hstack([sound.V, sound.V + 1.0])
+    vertices = np.hstack([lying_meshes.V, lying_meshes.V + 1.0])
     found: dict[str, list[Content]] = {
         "obj": [
-            {"m.obj": sound.obj()},
-            {"m.obj": textured, "m.mtl": mtl, "t.png": sound.png()},
+            {"m.obj": lying_meshes.obj()},
+            {"m.obj": textured, "m.mtl": mtl, "t.png": lying_photos.png()},
         ],
         "ply": [
-            {"m.ply": sound.ply()},
-            {"m.ply": sound.ply(ascii_=True)},
-            {"m.ply": sound.ply(vertices, extra=normals)},
+            {"m.ply": lying_meshes.ply()},
+            {"m.ply": lying_meshes.ply(ascii_=True)},
+            {"m.ply": lying_meshes.ply(vertices, extra=normals)},
         ],
-        "stl": [{"m.stl": sound.stl()}, {"m.stl": sound.stl_text()}],
-        "glb": [{"m.glb": sound.glb()}],
-        "off": [{"m.off": sound.off()}],
+        "stl": [{"m.stl": lying_meshes.stl()}, {"m.stl": lying_meshes.stl_text()}],
+        "glb": [{"m.glb": lying_meshes.glb()}],
+        "off": [{"m.off": lying_meshes.off()}],
         "jpeg": [
             {
-                "p.jpg": sound.encoded(
-                    sound.picture(), "JPEG", exif=sound.exif(orientation=6)
+                "p.jpg": lying_photos.encoded(
+                    lying_photos.picture(),
+                    "JPEG",
+                    exif=lying_photos.exif(orientation=6),
                 )
             },
-            {"p.jpg": sound.encoded(sound.picture("CMYK"), "JPEG", progressive=True)},
+            {
+                "p.jpg": lying_photos.encoded(
+                    lying_photos.picture("CMYK"), "JPEG", progressive=True
+                )
+            },
         ],
         "png": [
-            {"p.png": sound.png()},
-            {"p.png": sound.png("LA")},
-            {"p.png": sound.png_rgb16()},
+            {"p.png": lying_photos.png()},
+            {"p.png": lying_photos.png("LA")},
+            {"p.png": lying_photos.png_rgb16()},
         ],
         "tiff": [
-            {"p.tif": sound.encoded(sound.picture(), "TIFF")},
+            {"p.tif": lying_photos.encoded(lying_photos.picture(), "TIFF")},
             {
-                "p.tif": sound.encoded(
-                    sound.picture("RGBA"), "TIFF", compression="tiff_lzw"
+                "p.tif": lying_photos.encoded(
+                    lying_photos.picture("RGBA"), "TIFF", compression="tiff_lzw"
                 )
             },
         ],
     }
-    for kind in sound.SAVED:
+    for kind in lying_cameras.SAVED:
         found[kind] = [camera_files(kind)]
     return found
 
@@ -168,7 +176,7 @@ def outcome(files: Content, folder: Path) -> str:
     # Ends the process: compiled readers that hang come back to no Python.
     signal.alarm(HANG_S)
     try:
-        value = sound.read_path(folder / Path(next(iter(files))).parts[0])
+        value = lying_input.read_path(folder / Path(next(iter(files))).parts[0])
     except PhotoregError:
         return "refused"
     finally:
@@ -206,7 +214,7 @@ def fuzz(name: str, seconds: float) -> int:
     shutil.rmtree(KEPT / name, ignore_errors=True)
     (KEPT / name).mkdir(parents=True)
     for photo in ("a.png", "b.png"):
-        (KEPT / name / photo).write_bytes(sound.png())
+        (KEPT / name / photo).write_bytes(lying_photos.png())
     counts = {"read": 0, "refused": 0}
     end = time.monotonic() + seconds
 

@@ -16,14 +16,10 @@ from app.warm_up import toy_scene
 from photoreg.errors import PhotoregError
 from photoreg.mesh import Mesh
 from photoreg.readiness import check_readiness
-from tests.lying_input import (
-    Case,
-    camera_cases,
-    described,
-    mesh_cases,
-    photo_cases,
-    read,
-)
+from tests.lying_cameras import camera_cases
+from tests.lying_input import Case, described, read
+from tests.lying_meshes import mesh_cases
+from tests.lying_photos import photo_cases
 
 TABLES = Path(__file__).parents[1] / "build" / "lying-input"
 
