@@ -23,7 +23,8 @@ test-slow: .venv/.stamp-dev ## Run the tests marked slow (minutes)
 	@$(BIN)/python tests/browser/ensure_chromium.py
 	$(BIN)/pytest -m slow --ignore tests/interop
 
-test-interop: .venv/.stamp-interop ## Let COLMAP, MeshLab, Open3D and Blender read our files
+test-interop: .venv/.stamp-interop ## Let COLMAP, MeshLab, Open3D, Blender and three.js read our files
+	@$(BIN)/python tests/browser/ensure_chromium.py
 	PHOTOREG_BLENDER=.venv/blender/bin/python .venv/interop/bin/pytest -m slow -p no:dash tests/interop
 
 crash: .venv/.stamp-dev ## Kill server and worker 200 times at random moments and look for what is lost (15 minutes); ARGS="--kills 20"
@@ -83,9 +84,12 @@ clean: ## Remove the environment and what tools left behind
 # Environments of their own: Open3D brings a web server and a pytest plugin that breaks
 # ours, Blender another numpy.
 .venv/.stamp-interop: .venv/.stamp-dev pyproject.toml
-	@echo "Installing COLMAP, MeshLab, Open3D and Blender for the tests (once; 2 GB) ..."
+	@echo "Installing COLMAP, MeshLab, Open3D, Blender and three.js for the tests (once; 2 GB) ..."
 	@$(PYTHON) -m venv .venv/interop
 	@.venv/interop/bin/pip install --quiet --disable-pip-version-check --editable '.[dev,interop]'
 	@$(PYTHON) -m venv .venv/blender
 	@.venv/blender/bin/pip install --quiet --disable-pip-version-check bpy
+	@if command -v npm >/dev/null; then \
+	  npm install --silent --no-audit --no-fund --no-save --prefix .venv/three three@0.180.0; \
+	else echo "There is no npm, so three.js is left out."; fi
 	@touch $@
