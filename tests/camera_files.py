@@ -1,13 +1,30 @@
 """Cameras and photos of tests of camera files: nothing symmetric, names not plain."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from photoreg.camera import Camera
-from photoreg.formats.camera_set import CameraSet
+from photoreg.errors import InputError
+from photoreg.formats.camera_set import CameraSet, Saved
+from photoreg.formats.cameras import read_cameras, write_cameras
+
+PLACES = {
+    "photoreg": "out.json",
+    "colmap": "model",
+    "colmap-text": "model",
+    "nerfstudio": "transforms.json",
+    "meshlab": "out.mlp",
+    "texrecon": "scene",
+    "opencv": "out.yml",
+    "bundler": "bundle.out",
+    "blender": "setup.py",
+}
+"""Format to where a test writes it."""
 
 NAMES = ("left view.png", "rechts Ä 写真.jpg", 'it\'s "over" 50% <&>.jpg')
 
@@ -69,3 +86,18 @@ def largest_error_px(camera: Camera, other: Camera) -> float:
     points = points_before(camera)
     error = np.linalg.norm(other.project(points) - camera.project(points), axis=1)
     return float(error.max())
+
+
+def write(tmp_path: Path, name: str, cameras: CameraSet) -> tuple[Path, Saved]:
+    """Writes the cameras in the format ``name``; where, and what was said."""
+    path = tmp_path / PLACES[name]
+    return path, write_cameras(path, cameras, name)
+
+
+def refused(path: Path, name: str | None = None, **more: Any) -> str:
+    """The one sentence with which a camera file is refused."""
+    with pytest.raises(InputError) as caught:
+        read_cameras(path, name, **more)
+    message = str(caught.value)
+    assert "\n" not in message.strip(), message
+    return message
