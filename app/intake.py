@@ -12,14 +12,17 @@ from pathlib import Path
 
 from app import outcomes
 from app.messages import (
+    CamerasLoaded,
     Failed,
+    Loaded,
     MeshLoaded,
     PhotoLoaded,
     ReadAll,
     Reading,
     ReadingEvent,
 )
-from app.reader import Reader
+from app.opening import photo_files
+from app.reader import Reader, Wanted
 from app.session import Session, setting
 from app.state import Document, Job, State
 from photoreg.errors import InputError, PhotoregError
@@ -45,10 +48,7 @@ class Batch:
     step: str
     begins_anew: bool
     """Whether they take the place of what is open."""
-    cameras: Path | None
-    """Folder of the files of cameras; they are read at the end, when the photos they
-    are for are there."""
-    loaded: list[MeshLoaded | PhotoLoaded] = dataclasses.field(default_factory=list)
+    loaded: list[Loaded] = dataclasses.field(default_factory=list)
     problems: list[str] = dataclasses.field(default_factory=list)
 
     def put_into(self, state: State) -> State:
@@ -56,13 +56,14 @@ class Batch:
         if self.begins_anew and any(isinstance(e, MeshLoaded) for e in self.loaded):
             state = dataclasses.replace(state, document=Document(), selected=0)
         for event in self.loaded:
-            if isinstance(event, PhotoLoaded):
-                state = outcomes.with_photo(state, event)
-            else:
-                state = outcomes.with_mesh(state, event)
-        if self.cameras is not None:
             try:
-                state = outcomes.with_cameras_in(state, self.cameras)
+                match event:
+                    case MeshLoaded():
+                        state = outcomes.with_mesh(state, event)
+                    case PhotoLoaded():
+                        state = outcomes.with_photo(state, event)
+                    case CamerasLoaded():
+                        state = outcomes.with_loaded_cameras(state, event)
             except PhotoregError as error:
                 self.problems.append(str(error))
         return state
@@ -200,15 +201,17 @@ class Intake:
                 )
             begins_anew = bool(meshes) and any(_kind(p) == 1 for p in found)
             has_cameras = any(_kind(p) == 2 for p in found)
-            self._batch = batch = Batch(
-                step, begins_anew, self._cameras if has_cameras else None
-            )
+            self._batch = batch = Batch(step, begins_anew)
             to_read = sorted((p for p in found if _kind(p) < 2), key=_kind)
-            if to_read:
-                self._show("Opening", 0.0)
-                self._reader.read(to_read, lambda event: self._on_event(batch, event))
-            else:
-                self._end(batch, complete=True)
+            photos = {path.name: path for path in to_read if _kind(path) == 1}
+            if not begins_anew:
+                photos |= photo_files(self._session.state.document)
+            cameras = self._cameras if has_cameras else None
+            self._show("Opening", 0.0)
+            self._reader.read(
+                Wanted(tuple(to_read), cameras, photos),
+                lambda event: self._on_event(batch, event),
+            )
 
     def cancel(self) -> bool:
         """Leaves the files that are coming or being read; whether there were any."""
@@ -228,7 +231,7 @@ class Intake:
             match event:
                 case Reading():
                     self._show(event.title, event.fraction)
-                case MeshLoaded() | PhotoLoaded():
+                case MeshLoaded() | PhotoLoaded() | CamerasLoaded():
                     batch.loaded.append(event)
                 case Failed():
                     batch.problems.append(event.message)

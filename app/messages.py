@@ -17,6 +17,7 @@ from app.state import (
 from app.timing import Speed
 from photoreg.box_reach import BoxReach
 from photoreg.camera import Camera
+from photoreg.formats.cameras_json import CameraFile
 from photoreg.freedom import Freedom
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
@@ -167,6 +168,15 @@ class PhotoLoaded:
     """A photo file was read."""
 
     photo: Photo
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class CamerasLoaded:
+    """Cameras were read."""
+
+    name: str
+    """Of their file, or of their format where that is a folder."""
+    file: CameraFile
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -360,7 +370,8 @@ Event = (
     | Failed
     | Died
 )
-ReadingEvent = Reading | MeshLoaded | PhotoLoaded | Failed | ReadAll
+Loaded = MeshLoaded | PhotoLoaded | CamerasLoaded
+ReadingEvent = Reading | Loaded | Failed | ReadAll
 """What the reader tells, which is a process beside the worker."""
 
 Passing = Live | Picture | Measured | SurfaceDrawn

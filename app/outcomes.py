@@ -1,10 +1,10 @@
 """What the worker's events make of the state: pure functions, old state to new."""
 
 import dataclasses
-from pathlib import Path
 
 from app import session as rules
 from app.messages import (
+    CamerasLoaded,
     Checked,
     Live,
     MeshLoaded,
@@ -13,14 +13,12 @@ from app.messages import (
     Refined,
     Working,
 )
-from app.opening import listed, photo_files, with_cameras
+from app.opening import listed, with_cameras
 from app.placement import first_camera
 from app.run import CurvePoint, Run
 from app.state import Document, Job, State, same_camera
 from app.timing import seconds_left
 from photoreg.camera import Camera
-from photoreg.formats.camera_search import find_cameras
-from photoreg.formats.cameras import format_to_read, read_cameras
 
 MAX_CURVE_POINTS = 600
 """Beyond this every second point of the cost curve is dropped."""
@@ -53,15 +51,13 @@ def with_photo(state: State, event: PhotoLoaded) -> State:
     return dataclasses.replace(state, note=f"{event.photo.name} is added.")
 
 
-def with_cameras_in(state: State, folder: Path) -> State:
-    """The photos have the cameras among the files of a folder, as far as there are any.
+def with_loaded_cameras(state: State, event: CamerasLoaded) -> State:
+    """The photos have the cameras that were read, as far as there are any.
 
     Raises:
-        InputError: if there are none, they cannot be read, or not for these photos.
+        InputError: if they are not for these photos.
     """
-    path = find_cameras(folder)
-    name = path.name if path.is_file() else format_to_read(path).label
-    file = read_cameras(path, photos=photo_files(state.document))
+    name, file = event.name, event.file
     document = with_cameras(state.document, file, name)
     names = [entry.name for entry in document.photos]
     lacking = [name for name in names if name not in file.cameras]

@@ -1,18 +1,20 @@
 """Files read in a process of their own, which Cancel simply ends.
 
-Neither Pillow nor trimesh can be interrupted within a file. The worker cannot be ended
+Neither Pillow nor trimesh can be interrupted within a file, nor can libyaml. The worker cannot be ended
 for it: it holds the scene and its compiled kernels, and may be at work.
 """
 
+import dataclasses
 import logging
 import threading
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from app.messages import (
+    CamerasLoaded,
     Failed,
     MeshLoaded,
     PhotoLoaded,
@@ -23,6 +25,8 @@ from app.messages import (
 from app.opening import DISPLAY_FACES
 from app.processes import PATIENCE_S, spawned
 from photoreg.errors import PhotoregError
+from photoreg.formats.camera_search import find_cameras
+from photoreg.formats.cameras import format_to_read, read_cameras
 from photoreg.mesh import MESH_SUFFIXES, load_mesh
 from photoreg.photo import load_photo
 
@@ -30,6 +34,18 @@ log = logging.getLogger(__name__)
 
 PARSED = 0.6
 """Share of a mesh's time after which its file is read; the rest thins it for display."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Wanted:
+    """What is read together."""
+
+    paths: tuple[Path, ...]
+    """Meshes and photos."""
+    cameras: Path | None
+    """A folder with the files of one set of cameras; read after the others."""
+    photos: Mapping[str, Path]
+    """Photos by name, to which cameras may belong."""
 
 
 class Reader:
@@ -45,9 +61,7 @@ class Reader:
         with self._lock:
             self._start()
 
-    def read(
-        self, paths: Sequence[Path], on_event: Callable[[ReadingEvent], None]
-    ) -> None:
+    def read(self, wanted: Wanted, on_event: Callable[[ReadingEvent], None]) -> None:
         """Starts to read; returns at once. The last event is ``ReadAll``.
 
         After ``cancel`` some events may still come that were on their way.
@@ -56,7 +70,7 @@ class Reader:
             process, connection = self._start()
         threading.Thread(
             target=_pump,
-            args=(process, connection, tuple(paths), on_event),
+            args=(process, connection, wanted, on_event),
             daemon=True,
             name="reader",
         ).start()
@@ -80,11 +94,11 @@ class Reader:
 def _pump(
     process: BaseProcess,
     connection: Connection,
-    paths: tuple[Path, ...],
+    wanted: Wanted,
     on_event: Callable[[ReadingEvent], None],
 ) -> None:
     try:
-        connection.send(paths)
+        connection.send(wanted)
         while True:
             event: ReadingEvent = connection.recv()
             on_event(event)
@@ -109,25 +123,37 @@ def _serve(connection: Connection) -> None:
         return  # The app is gone.
 
 
-def _read(paths: tuple[Path, ...]) -> Iterator[ReadingEvent]:
-    sizes = [max(path.stat().st_size, 1) for path in paths]
-    for i, path in enumerate(paths):
-        of = f" ({i + 1} of {len(paths)})" if len(paths) > 1 else ""
+def _read(wanted: Wanted) -> Iterator[ReadingEvent]:
+    places = [*wanted.paths, *([wanted.cameras] if wanted.cameras else [])]
+    sizes = [max(_size(place), 1) for place in places]
+    for i, place in enumerate(places):
+        name = "the cameras" if place == wanted.cameras else place.name
+        of = f" ({i + 1} of {len(places)})" if len(places) > 1 else ""
         done, share = sum(sizes[:i]) / sum(sizes), sizes[i] / sum(sizes)
-        yield Reading(f"Reading {path.name}{of}", done)
+        yield Reading(f"Reading {name}{of}", done)
         try:
-            if path.suffix.lower() in MESH_SUFFIXES:
-                mesh = load_mesh(path)
-                title = f"Preparing {path.name} for display{of}"
+            if place == wanted.cameras:
+                path = find_cameras(place)
+                told = path.name if path.is_file() else format_to_read(path).label
+                yield CamerasLoaded(told, read_cameras(path, photos=wanted.photos))
+            elif place.suffix.lower() in MESH_SUFFIXES:
+                mesh = load_mesh(place)
+                title = f"Preparing {name} for display{of}"
                 yield Reading(title, done + PARSED * share)
                 yield MeshLoaded(mesh, mesh.decimated(DISPLAY_FACES))
             else:
-                yield PhotoLoaded(load_photo(path))
+                yield PhotoLoaded(load_photo(place))
         except PhotoregError as error:
             yield Failed("read", str(error))
         except MemoryError:
-            yield Failed("read", f"There is not enough memory to read {path.name}.")
+            yield Failed("read", f"There is not enough memory to read {name}.")
         except Exception:  # noqa: BLE001 - the border of the process: report.
-            text = f"Reading {path.name} crashed; the log has the details."
+            text = f"Reading {name} crashed; the log has the details."
             yield Failed("read", text, traceback.format_exc())
     yield ReadAll(complete=True)
+
+
+def _size(place: Path) -> int:
+    """Bytes of a file, or of all that is in a folder."""
+    files = place.rglob("*") if place.is_dir() else [place]
+    return sum(path.stat().st_size for path in files)

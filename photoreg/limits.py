@@ -18,6 +18,9 @@ class Limits:
     """Size of a mesh or photo file, and of each file that a browser sends, in MB."""
     camera_file_mb: float = 500.0
     """Size of a camera file, in MB: some hundred thousand cameras."""
+    yaml_file_mb: float = 5.0
+    """Size of a camera file in YAML, in MB: some five thousand cameras. YAML may take
+    250 times its size in memory."""
     faces_millions: float = 20.0
     """Triangles of a mesh, in millions; vertices may be three times as many."""
     photo_megapixels: float = 120.0

@@ -103,7 +103,7 @@ BAD_TEXT: list[tuple[str, str, str]] = [
         "has no VCGCamera",
     ),
     ("a.mlp", '<!DOCTYPE a [<!ENTITY b "c">]><a/>', "defines entities"),
-    ("a.yml", "hello: [", "is not a YAML file that OpenCV reads"),
+    ("a.yml", "hello: [", "is not a YAML file: did not find"),
     ("a.yml", "%YAML:1.0\n---\ncameras: 3\n", "list"),
     ("a.yml", "%YAML:1.0\n---\ncameras: [ 3 ]\n", "should be a map"),
     ("a.yml", "%YAML:1.0\n---\ncameras:\n  - {photo: a.jpg, width: 3}\n", "lacks"),

@@ -277,6 +277,24 @@ def test_a_bad_upload_is_told_and_changes_nothing(conductor):
     assert conductor.session.state.job is None
 
 
+def test_cancel_ends_the_reading_of_a_camera_file_and_leaves_no_trace(conductor):
+    document = conductor.session.state.document
+    # Read to its end, it takes seconds and is refused.
+    conductor.intake.open_one("slow.yml", b"%YAML:1.0\n---\n" + b"- a\n" * 1_200_000)
+    wait(conductor, lambda s: s.job.title == "Reading the cameras", "it is read")
+    assert conductor.intake.cancel()
+    state = conductor.session.state
+    assert state.document is document
+    assert state.job is None
+    assert state.note == "Cancelled; nothing was opened."
+    data = b"%YAML:1.0\n---\ncameras: [ ]\n"
+    told: list[str] = []
+    conductor.on_problem = told.append
+    conductor.intake.open_one("none.yml", data)
+    wait_until(lambda: told, "the next file is read")
+    assert told == ["none.yml has no cameras."]
+
+
 def test_the_overlay_follows_the_cameras_and_tells_the_true_error(conductor):
     session = conductor.session
     wait(conductor, lambda s: s.run.error_px is not None, "the first overlay")

@@ -7,15 +7,28 @@ are those of `cv2.projectPoints`, which are photoreg's own.
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+import yaml
 
 from photoreg.camera import Camera
 from photoreg.errors import InputError
 from photoreg.formats.camera_set import CameraSet, Saved, cameras_by_name
-from photoreg.formats.parsing import camera_of, read_text, refuse_distortion, size_px
+from photoreg.formats.parsing import (
+    camera_of,
+    numbers,
+    read_text,
+    refuse_distortion,
+    size_px,
+    whole,
+)
 from photoreg.formats.writing import write_files
+from photoreg.limits import Limits
+
+LOADER = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
+"""Takes every number and name as text, and heeds no tag; libyaml's is ten times faster."""
 
 
 def save_opencv(path: Path, cameras: CameraSet) -> Saved:
@@ -44,69 +57,73 @@ def load_opencv(path: Path) -> dict[str, Camera]:
     """Reads what `save_opencv` wrote, or a program that keeps to its keys.
 
     "distortion", where there is one, must be zero; R may also be a rotation vector.
+    OpenCV's own reader is not used: on damaged files it hangs, or writes past its
+    memory (5.0).
 
     Raises:
         InputError: if it is not such a file or a camera in it is not valid.
     """
-    text = read_text(path, "camera file")
-    if re.match(r"%YAML[: ]\d+\.\d+\s*\n", text) is None or "\n%" in text:
-        # OpenCV looks for the end of any other directive for ever.
-        raise InputError(
-            f"{path.name} is not a YAML file that OpenCV reads; it should begin with "
-            "%YAML and be complete."
-        )
-    storage = cv2.FileStorage()
+    text = read_text(path, "camera file", Limits.of_environment().yaml_file_mb)
+    document = _parsed(path.name, text)
+    cameras = document.get("cameras") if isinstance(document, dict) else None
+    if not isinstance(cameras, list):
+        raise InputError(f'{path.name} should hold a list "cameras".')
+    return cameras_by_name(_cameras(path, cameras), path.name)
+
+
+def _parsed(name: str, text: str) -> Any:
+    """What YAML holds, as dicts, lists and text."""
+    # OpenCV's first line has a colon, which YAML's has not, and its texts have \'.
+    if text.startswith("%YAML:"):
+        text = f"#{text}"
+    text = re.sub(r"\\(.)", lambda pair: "'" if pair[1] == "'" else pair[0], text)
     try:
-        storage.open(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        node = storage.getNode("cameras")
-        if not node.isSeq():
-            raise InputError(f'{path.name} should hold a list "cameras".')
-        return cameras_by_name(_cameras(path, node), path.name)
-    except (cv2.error, SystemError) as error:
-        raise InputError(
-            f"{path.name} is not a YAML file that OpenCV reads; it should begin with "
-            "%YAML and be complete."
-        ) from error
-    finally:
-        storage.release()
+        # A few aliases of aliases would be more than any memory holds.
+        for event in yaml.parse(text, Loader=LOADER):
+            if isinstance(event, yaml.AliasEvent):
+                raise InputError(f"{name} repeats parts by aliases; write them out.")
+        return yaml.load(text, Loader=LOADER)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark
+        line = f" at line {mark.line + 1}" if mark is not None else ""
+        reason = f"{error.problem or error.context}{line}"
+    except yaml.YAMLError:
+        reason = "it holds characters that text does not have"
+    except RecursionError:
+        reason = "it is nested too deep"
+    raise InputError(f"{name} is not a YAML file: {reason}.")
 
 
-def _cameras(path: Path, cameras: cv2.FileNode) -> Iterator[tuple[str, Camera]]:
-    for i in range(cameras.size()):
-        where, entry = f"{path.name}, camera {i + 1}", cameras.at(i)
-        if not entry.isMap():
+def _cameras(path: Path, cameras: list[Any]) -> Iterator[tuple[str, Camera]]:
+    for number, entry in enumerate(cameras, start=1):
+        where = f"{path.name}, camera {number}"
+        if not isinstance(entry, dict):
             raise InputError(f"{where} should be a map with photo, K, R and t.")
-        name = entry.getNode("photo")
-        if not name.isString():
+        name = entry.get("photo")
+        if not isinstance(name, str):
             raise InputError(f'{where}: "photo" should be a file name.')
-        where = f"{where} ({name.string()})"
-        sides = [entry.getNode(key) for key in ("width", "height")]
-        if not all(side.isInt() or side.isReal() for side in sides):
+        where = f"{where} ({name:.80})"
+        if "width" not in entry or "height" not in entry:
             raise InputError(f"{where} lacks the photo's width and height.")
-        K, R, t = (_matrix(entry, key, where) for key in ("K", "R", "t"))
-        if not entry.getNode("distortion").empty():
-            refuse_distortion(_matrix(entry, "distortion", where).ravel(), where)
+        K, R, t = (_matrix(entry.get(key), key, where) for key in ("K", "R", "t"))
+        if "distortion" in entry:
+            distortion = _matrix(entry["distortion"], "distortion", where)
+            refuse_distortion(distortion.ravel(), where)
         if R.size == 3:
             R = cv2.Rodrigues(R.reshape(3, 1))[0]
-        size = size_px(sides[0].real(), sides[1].real(), where)
-        yield name.string(), camera_of(where, K, R, t.ravel(), *size)
+        size = size_px(entry["width"], entry["height"], where)
+        yield name, camera_of(where, K, R, t.ravel(), *size)
 
 
-def _matrix(entry: cv2.FileNode, key: str, where: str) -> np.ndarray:
-    node = entry.getNode(key)
-    # FileNode.mat() writes past its memory where rows or cols are missing or wrong, so
-    # the numbers are taken one by one.
-    sides = [node.getNode(side) for side in ("rows", "cols")] if node.isMap() else []
-    data = node.getNode("data") if node.isMap() else None
-    if data is None or not data.isSeq() or not all(side.isInt() for side in sides):
+def _matrix(value: Any, key: str, where: str) -> np.ndarray:
+    parts = value if isinstance(value, dict) else {}
+    data = parts.get("data")
+    if not ("rows" in parts and "cols" in parts and isinstance(data, list)):
         raise InputError(f'{where}: "{key}" should be a matrix.')
-    shape = tuple(int(side.real()) for side in sides)
-    values = [data.at(i) for i in range(data.size())]
-    if min(shape) < 1 or shape[0] * shape[1] != len(values):
-        raise InputError(
-            f'{where}: "{key}" should have {shape[0]} x {shape[1]} numbers, but has '
-            f"{len(values)}."
-        )
-    if not all(value.isInt() or value.isReal() for value in values):
-        raise InputError(f'{where}: "{key}" should hold numbers only.')
-    return np.reshape([value.real() for value in values], shape)
+    n_rows, n_columns = (
+        whole(parts[s], where, f"{key}'s {s}") for s in ("rows", "cols")
+    )
+    if min(n_rows, n_columns) < 1:
+        raise InputError(f'{where}: "{key}" should have at least a row and a column.')
+    values = numbers(data, n_rows * n_columns, where, f'"{key}"')
+    return np.reshape(values, (n_rows, n_columns))
