@@ -1,5 +1,6 @@
 """Pictures of a scene, drawn in the worker: overlays, comparisons, the live surface."""
 
+import dataclasses
 import threading
 import time
 import traceback
@@ -20,10 +21,10 @@ from app.messages import (
     Picture,
     SurfaceDrawn,
 )
-from app.state import Surface
+from app.state import Surface, same_camera
 from photoreg.camera import Camera
 from photoreg.errors import PhotoregError
-from photoreg.evaluate import projection_error
+from photoreg.evaluate import Truth
 from photoreg.inconsistency import disagreement_picture, mean_disagreement
 from photoreg.mesh import Mesh
 from photoreg.overlay import AlignedPair, LiveOverlay, compose, swipe
@@ -38,6 +39,21 @@ ERROR_SAMPLES = 2_000
 JPEG_QUALITY = 82
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Drawn:
+    """The pair drawn last, and what it was drawn for."""
+
+    onto: int
+    quick: bool
+    cameras: tuple[Camera, ...]
+    pair: AlignedPair
+
+    def is_of(self, onto: int, quick: bool, cameras: tuple[Camera, ...]) -> bool:
+        return (self.onto, self.quick) == (onto, quick) and all(
+            map(same_camera, self.cameras, cameras)
+        )
+
+
 class Drawing:
     """Pictures of one scene; what does not change is prepared once."""
 
@@ -46,9 +62,22 @@ class Drawing:
         self._photos = photos
         self._overlay = LiveOverlay(mesh, photos, PICTURE_SIDE_PX)
         self._lines: SurfaceLines | None = None
-        self._pair: tuple[object, AlignedPair] | None = None
+        self._pair: _Drawn | None = None
         self._start: tuple[object, np.ndarray] | None = None
         self._surface: LiveSurface | None = None
+        self._truth: Truth | None = None
+
+    def true_error(
+        self, truth: tuple[Camera, ...] | None, cameras: tuple[Camera, ...]
+    ) -> float | None:
+        """Mean projection error in pixels (eq. 5), None where the truth is not known."""
+        if truth is None:
+            return None
+        known = self._truth
+        if known is None or not all(map(same_camera, known.cameras, truth)):
+            # What the true cameras see is nine tenths of the work.
+            self._truth = known = Truth(self._mesh, truth, ERROR_SAMPLES)
+        return known.projection_error(cameras).mean
 
     def picture(
         self,
@@ -70,15 +99,13 @@ class Drawing:
         """
         overlay, onto = self._overlay, view.onto % len(cameras)
         quick = is_passing and view.style not in ("difference", "edges")
-        key = (onto, quick, tuple(map(id, cameras)))
-        if self._pair is None or self._pair[0] != key:
-            # A slider of the overlay's asks for the same pair again and again. The
-            # cameras are kept with it: ids of living objects do not repeat.
+        if self._pair is None or not self._pair.is_of(onto, quick, cameras):
+            # A slider of the overlay's asks for the same pair again and again; of a
+            # search the best stays for one generation in two, or three.
             carried = (onto + 1) % len(cameras)
             draw = overlay.quick_pair if quick else overlay.pair
-            self._pair = (key, draw(cameras, onto, carried))
-            self._cameras = cameras
-        pair = self._pair[1]
+            self._pair = _Drawn(onto, quick, cameras, draw(cameras, onto, carried))
+        pair = self._pair.pair
         other = normals = lines = None
         if view.style == "blink":
             jpeg = encode_jpeg(pair.base)
@@ -101,7 +128,7 @@ class Drawing:
             lines = self._lines.seen_from(cameras[onto])
         return Picture(
             jpeg,
-            true_error(self._mesh, truth, cameras),
+            self.true_error(truth, cameras),
             other,
             self._photos[onto].name,
             normals,
@@ -204,7 +231,7 @@ class Painter:
                 draw, period_s = self._newest, self._period_s
                 assert draw is not None
                 self._newest, self._is_busy = None, True
-            started = time.monotonic()
+            started, worked = time.monotonic(), time.thread_time()
             try:
                 for event in draw():
                     self._send(event)
@@ -221,9 +248,10 @@ class Painter:
                 self._is_busy = False
                 self._changed.notify_all()
             if period_s > 0.0:
-                # Never more than two fifths of a core, however slow this machine is.
-                spent = time.monotonic() - started
-                time.sleep(max(period_s - spent, 1.5 * spent, 0.0))
+                # Never more than two fifths of a core, however large the scene is. Time
+                # that others had the core does not count: it slows the search already.
+                spent, work = time.monotonic() - started, time.thread_time() - worked
+                time.sleep(max(period_s - spent, 1.5 * work, 0.0))
 
 
 def encode_jpeg(picture: np.ndarray) -> bytes:
@@ -232,12 +260,3 @@ def encode_jpeg(picture: np.ndarray) -> bytes:
     done, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     assert done
     return data.tobytes()
-
-
-def true_error(
-    mesh: Mesh, truth: tuple[Camera, ...] | None, cameras: tuple[Camera, ...]
-) -> float | None:
-    """Mean projection error in pixels (eq. 5), None where the truth is not known."""
-    if truth is None:
-        return None
-    return projection_error(mesh, truth, cameras, n_samples=ERROR_SAMPLES).mean

@@ -19,10 +19,10 @@ from photoreg.inconsistency import CLAY, SurfaceSight, vertex_colours
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 
-MAX_FACES = 20_000
+MAX_FACES = 10_000
 """More would take a browser longer to read than the picture lasts."""
 
-PHOTO_SIDE_PX = 1024
+PHOTO_SIDE_PX = 768
 PHOTO_QUALITY = 80
 
 FLOAT, UINT, UBYTE = 5126, 5125, 5121

@@ -252,7 +252,7 @@ def _table(run: Run) -> str:
     if run.expected_error_px is not None:
         rows.append(("Expected error", "", f"{run.expected_error_px:.2f} px"))
     elif run.is_active:
-        rows.append(("Expected error", "", "after the polish"))
+        rows.append(("Expected error", "", "once it polishes"))
     if run.start_cost is not None and run.cost is not None:
         rows.append(("Cost", number(run.start_cost), number(run.cost)))
     elif run.curve:

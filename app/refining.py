@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from app.cost_curve import CostCurve
-from app.drawing import Drawing, Painter, true_error
+from app.drawing import Drawing, Painter
 from app.messages import (
     Event,
     Job,
@@ -30,7 +30,9 @@ from photoreg.registration import Finished, Progress, refine
 PICTURE_PERIOD_S = 0.18
 """Time between overlay pictures during a refinement: five and a half a second."""
 
-LIVE_PERIOD_S = 0.08
+LIVE_PERIOD_S = PICTURE_PERIOD_S
+"""The same of cameras, cost and words: nobody reads faster, and each redraws the page."""
+
 CLOUD = 80
 """Individuals whose camera centres are shown."""
 
@@ -71,7 +73,7 @@ class Refining:
                 for something.
         """
         job = self._job
-        start_error = true_error(self._mesh, job.truth, job.cameras)
+        start_error = self._drawing.true_error(job.truth, job.cameras)
         finished, last, curve = None, None, []
         resume = None if job.kept is None else Checkpoint.from_bytes(job.kept.content)
         self._costs = _curve_from(job, resume)
@@ -106,7 +108,7 @@ class Refining:
         self._send(
             self._drawing.picture(self._best, self._view, job.truth, job.cameras)
         )
-        error = true_error(self._mesh, job.truth, self._best)
+        error = self._drawing.true_error(job.truth, self._best)
         self._send(Refined(self._best, finished, start_error, error, self._paused_s))
 
     def _live(self, event: Progress, curve: list[CurvePoint]) -> Live:

@@ -154,10 +154,11 @@ class Scene:
         if centers is self._cloud_of:
             return
         self._cloud_of = centers
+        if self._cloud is not None:
+            # Kept for the next run: a new one has its shader compiled again, for which
+            # a browser without a graphics card stands still for half a second.
+            put(self._cloud, "visible", centers is not None)
         if centers is None:
-            if self._cloud is not None:
-                self._cloud.remove()
-                self._cloud = None
             return
         points = self.frame.to_page(centers.reshape(-1, 3)).astype(np.float32)
         if self._cloud is not None and self._cloud.points.shape == points.shape:

@@ -47,6 +47,10 @@ log = logging.getLogger(__name__)
 
 PAINT_PERIOD_S = 1 / 30
 BLINK_PERIOD_S = 0.6
+SCENE_PERIOD_S = 0.4
+"""Time between two states of the 3-D view during a refinement. A frame of it costs a
+browser without a graphics card 0.1 to 0.2 s of a core, which the search could use; at
+twelve a second it took nine tenths of one."""
 GIZMO_HOLD_S = 20.0
 """A gizmo that says nothing for so long is no longer in anybody's hand."""
 
@@ -75,6 +79,7 @@ class Page:
         self._hands = Hands()
         self._help = Help()
         self._blinked_at = 0.0
+        self._scene_at, self._is_scene_late = -np.inf, False
         self._drag = 0
         self._wake = threading.Event()
         self._closed = False
@@ -204,7 +209,8 @@ class Page:
     def _paint_on(self) -> None:
         while True:
             blinks = self.session.state.overlay_style == "blink"
-            self._wake.wait(BLINK_PERIOD_S if blinks else None)
+            late = SCENE_PERIOD_S if self._is_scene_late else None
+            self._wake.wait(BLINK_PERIOD_S if blinks else late)
             self._wake.clear()
             if self._closed:
                 return
@@ -232,10 +238,7 @@ class Page:
                 self._dark = state.dark
                 self._theme(state.dark)
                 self.server.scene.set_background_image(backdrop(state.dark))
-            drawn = self.conductor.drawn
-            self.scene.show(state, None if drawn is None else drawn.lines)
-            self.scene.show_cloud(self.conductor.cloud if state.run.is_active else None)
-            self.scene.show_surface(self.conductor.surface_glb)
+            self._show_scene(state)
             put(self._status, "content", status_line(state, is_kept))
             put(self._meter, "content", meter_html(state))
             self._travel.show(travel_tools(state))
@@ -246,6 +249,19 @@ class Page:
             panel = self._view_panels.get(number)
             if panel is not None:
                 panel.show(state)
+
+    def _show_scene(self, state: State) -> None:
+        """Shows the 3-D view, during a run all of it at once every so often."""
+        now = time.monotonic()
+        is_running = state.run.is_active
+        self._is_scene_late = is_running and now - self._scene_at < SCENE_PERIOD_S
+        if self._is_scene_late:
+            return
+        self._scene_at = now
+        drawn = self.conductor.drawn
+        self.scene.show(state, None if drawn is None else drawn.lines)
+        self.scene.show_cloud(self.conductor.cloud if is_running else None)
+        self.scene.show_surface(self.conductor.surface_glb)
 
     def _theme(self, dark: bool) -> None:
         self.server.gui.configure_theme(

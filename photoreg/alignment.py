@@ -29,7 +29,7 @@ from photoreg.photometric import (
     surface_view,
     surface_views,
 )
-from photoreg.polish import Damping, Prior, minimise, total
+from photoreg.polish import Damping, Prior, minimise
 from photoreg.silhouette import OUTLINE_SIGMA_PX, RimTerm, find_edges, find_rim
 
 
@@ -103,7 +103,8 @@ class PolishStep:
     warnings: tuple[str, ...]
     """What the user should know, in sentences."""
     scatter: Float[np.ndarray, "p p"] | None = None
-    """Of the last step only: covariance of the cost's gradient, in inverse units."""
+    """Of the last step of each level: covariance of the cost's gradient, in inverse
+    units. ``uncertainty`` tells from it how sure the cameras are."""
     disagreement: Disagreement | None = None
     """Of the last step only: ``agreement.disagreement`` of these cameras."""
     start_disagreement: Disagreement | None = None
@@ -141,8 +142,8 @@ def polish_cameras(
         RefinementError: if a camera does not see the mesh.
 
     Yields:
-        Every accepted step, each round's first included; the last one holds the answer,
-        which by ``agreement.disagreement`` is never worse than the start.
+        Every accepted step, each round's first included, and where a level ends its last
+        one again, with how sure it is. The last one of all holds the answer, which by ``agreement.disagreement`` is never worse than the start.
     """
     config = config or PolishConfig()
     if not len(photos) == len(cameras) == len(prior_cameras) or len(photos) == 0:
@@ -200,13 +201,15 @@ def polish_cameras(
                     warnings,
                 )
                 yield latest
-    assert latest is not None  # A configuration has at least one level and round.
-    latest = dataclasses.replace(
-        latest,
-        normal=total([prior, *terms], x).normal,
-        # The prior's gradient is as uncertain as the prior says.
-        scatter=prior.precision + sum(term.scatter(x) for term in terms),
-    )
+        assert latest is not None  # A level has at least one round.
+        latest = dataclasses.replace(
+            latest,
+            # The prior's gradient is as uncertain as the prior says.
+            scatter=prior.precision + sum(term.scatter(x) for term in terms),
+        )
+        if level < n_levels - 1:
+            yield latest
+    assert latest is not None  # A configuration has at least one level.
     before = start_disagreement
     if before is None:
         before = disagreement(mesh, photos, cameras, config.min_cosine)

@@ -71,39 +71,59 @@ def projection_error(
         InputError: if the numbers of cameras or their photo sizes differ, there are
             none, or a true camera sees nothing of the mesh.
     """
-    if len(true) == 0 or len(true) != len(estimated):
-        raise InputError(
-            "Cameras are compared one to one, at least one, but there are "
-            f"{len(true)} true and {len(estimated)} estimated cameras."
+    return Truth(mesh, true, n_samples).projection_error(estimated)
+
+
+class Truth:
+    """True cameras, to measure others against again and again: looked through once."""
+
+    def __init__(
+        self, mesh: Mesh, cameras: Sequence[Camera], n_samples: int = 10_000
+    ) -> None:
+        """The arguments and errors are those of the function ``projection_error``."""
+        self.cameras = tuple(cameras)
+        points = sample_surface(mesh, n_samples, seed=0).points
+        self._points: list[Float[np.ndarray, "n 3"]] = []
+        self._pixels: list[Float[np.ndarray, "n 2"]] = []
+        for number, camera in enumerate(cameras, 1):
+            seen = points[seen_points(mesh, camera, points)]
+            if len(seen) == 0:
+                raise InputError(
+                    f"True camera {number} sees nothing of {mesh.name}: the mesh and the "
+                    "camera do not belong together, or the camera looks away."
+                )
+            self._points.append(seen)
+            self._pixels.append(camera.project(seen))
+
+    def projection_error(self, estimated: Sequence[Camera]) -> ProjectionError:
+        """As the function ``projection_error``, against these cameras."""
+        if len(self.cameras) == 0 or len(self.cameras) != len(estimated):
+            raise InputError(
+                "Cameras are compared one to one, at least one, but there are "
+                f"{len(self.cameras)} true and {len(estimated)} estimated cameras."
+            )
+        return ProjectionError(
+            tuple(self._camera_error(i, camera) for i, camera in enumerate(estimated))
         )
-    points = sample_surface(mesh, n_samples, seed=0).points
-    errors = []
-    for number, (truth, estimate) in enumerate(zip(true, estimated, strict=True), 1):
+
+    def _camera_error(self, index: int, estimate: Camera) -> CameraError:
+        truth = self.cameras[index]
         if (truth.width, truth.height) != (estimate.width, estimate.height):
             raise InputError(
-                f"Camera {number}: the true camera is for a photo of {truth.width}x"
+                f"Camera {index + 1}: the true camera is for a photo of {truth.width}x"
                 f"{truth.height} px, the estimated one for {estimate.width}x"
                 f"{estimate.height} px; they should be for the same photo."
             )
-        seen = seen_points(mesh, truth, points)
-        if not seen.any():
-            raise InputError(
-                f"True camera {number} sees nothing of {mesh.name}: the mesh and the "
-                "camera do not belong together, or the camera looks away."
-            )
-        offsets = estimate.project(points[seen]) - truth.project(points[seen])
+        offsets = estimate.project(self._points[index]) - self._pixels[index]
         distances = np.hypot(offsets[:, 0], offsets[:, 1])
         distances[np.isnan(distances)] = np.inf
-        errors.append(
-            CameraError(
-                mean=float(distances.mean()),
-                rms=float(np.sqrt(np.mean(distances**2))),
-                median=float(np.median(distances)),
-                max=float(distances.max()),
-                n_points=len(distances),
-            )
+        return CameraError(
+            mean=float(distances.mean()),
+            rms=float(np.sqrt(np.mean(distances**2))),
+            median=float(np.median(distances)),
+            max=float(distances.max()),
+            n_points=len(distances),
         )
-    return ProjectionError(tuple(errors))
 
 
 def seen_points(

@@ -63,7 +63,8 @@ class Progress:
     """What begins with this event, in plain words, for a mark in a curve: a restart of
     the search, a level of the polish. None: it goes on as it was."""
     expected_error_px: float | None = None
-    """Expected projection error of the answer in pixels, once a polish has told it."""
+    """Expected projection error of the best in pixels, as the level of the polish that
+    ended last tells; None before."""
     population: Population | None = None
     """The living individuals; None outside the search. Held, not copied: leave it out
     of what is sent to another process (``dataclasses.replace``) where nobody asks."""

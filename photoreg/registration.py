@@ -295,8 +295,10 @@ class _Run:
     ) -> Iterator[tuple[PolishStep, Progress]]:
         """One polish; a second one keeps showing the ``answer`` of the first."""
         first, last = SEARCH_SHARE, FIRST_POLISH_SHARE
+        error_px = None
         if answer is not None:
             first, last = FIRST_POLISH_SHARE, 1.0
+            error_px = self._expected_error_px(answer)
         level, steps = -1, 0
         for step in polish_cameras(
             self.mesh,
@@ -311,6 +313,8 @@ class _Run:
         ):
             if answer is None:
                 self.best = step.cameras
+                if step.scatter is not None:
+                    error_px = self._expected_error_px(step)
             steps = steps + 1 if step.level == level else 0
             level = step.level
             within = 1.0 - 1.0 / (1.0 + 0.2 * steps)
@@ -322,7 +326,18 @@ class _Run:
                 step.cost,
                 step.cost,
             )
-            yield step, dataclasses.replace(progress, begins=None if steps else words)
+            yield (
+                step,
+                dataclasses.replace(
+                    progress,
+                    begins=None if steps else words,
+                    expected_error_px=error_px,
+                ),
+            )
+
+    def _expected_error_px(self, step: PolishStep) -> float:
+        """How far off the cameras are at the end of a level of the polish."""
+        return estimate_uncertainty(self.mesh, step, self._names).expected_error_px
 
     def _finished(self, search: Search) -> Finished:
         if not self.config.polish_after:

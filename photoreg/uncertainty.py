@@ -75,7 +75,7 @@ class Uncertainty:
 def estimate_uncertainty(
     mesh: Mesh, step: PolishStep, names: tuple[str, ...] | None = None
 ) -> Uncertainty:
-    """The uncertainty of the cameras of a polish's last step.
+    """The uncertainty of the cameras of a polish at the end of one of its levels.
 
     Inverse normal matrix, times the covariance of the gradient, times inverse normal
     matrix: the errors that neighbours share are in it, and that the polish weighted
@@ -84,12 +84,12 @@ def estimate_uncertainty(
 
     Args:
         mesh: The surface.
-        step: The last step of ``polish_cameras``.
+        step: The last step of a level of ``polish_cameras``.
         names: How the photos are called in the words; None: photo 1, photo 2, ...
     """
     along = step.directions
     if step.scatter is None:
-        raise ValueError("Only the last step of a polish tells how sure it is.")
+        raise ValueError("Only the last step of a polish's level tells how sure it is.")
     inverse = np.linalg.inv(along.T @ step.normal @ along)
     free = inverse @ (along.T @ step.scatter @ along) @ inverse
     covariance = along @ free @ along.T

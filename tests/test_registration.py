@@ -62,6 +62,10 @@ def test_the_default_preset_finds_the_cameras():
     assert after < 0.5 < 4.0 < before, (before, after)
     phases = {event.phase for event in events if isinstance(event, Progress)}
     assert phases == {"prepare", "search", "polish"}
+    # Each level of the polish tells it, and the last one of them to what is told at the end.
+    told = {event.expected_error_px for event in events if isinstance(event, Progress)}
+    assert len(told) == 1 + len(RegistrationConfig().polish.blurs_px), told
+    assert events[-1].expected_error_px == last.expected_error_px
     assert len(last.expected_errors_px) == len(last.standard_errors) == 2
     assert last.expected_error_px is not None
     assert after < 4.0 * last.expected_error_px < 4.0, (after, last.expected_error_px)
@@ -161,7 +165,10 @@ def test_progress_tells_what_a_live_display_shows():
     ]
     polish = [e for e in events if e.phase == "polish"]
     assert all(e.population is None is e.quartile_costs for e in polish)
-    assert all(e.expected_error_px is None for e in events[:-1])
+    # A level tells at its end how far off the answer is to be expected.
+    begins = [e.begins for e in polish].index("polish, level 2 of 2")
+    assert all(e.expected_error_px is None for e in [*search, *polish[: begins - 1]])
+    assert all(e.expected_error_px is not None for e in polish[begins - 1 :])
     assert last.expected_error_px is not None
     assert events[-1].expected_error_px == last.expected_error_px > 0.0
 
