@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from app import outcomes
+from app.kinds import CAMERAS, KINDS, MESH, PHOTO, is_zip, kind_of
 from app.messages import (
     CamerasLoaded,
     Failed,
@@ -20,21 +21,14 @@ from app.messages import (
     ReadAll,
     Reading,
     ReadingEvent,
+    Unpacked,
 )
 from app.opening import photo_files
-from app.reader import Reader, Wanted
+from app.reader import Packed, Reader, Wanted
 from app.session import Session, setting
 from app.state import Document, Job, State
 from photoreg.errors import InputError, PhotoregError
-from photoreg.formats.archives import unzipped
-from photoreg.formats.camera_search import CAMERA_SUFFIXES
-from photoreg.formats.meshlab import PADDED
-from photoreg.mesh import MESH_SUFFIXES
-from photoreg.photo import PHOTO_SUFFIXES
 from photoreg.project_files import keep_file, plain_name
-
-KINDS = (MESH_SUFFIXES, PHOTO_SUFFIXES, (*CAMERA_SUFFIXES, ".zip"))
-"""In the order in which they are opened: cameras are matched to photos that are there."""
 
 MAX_FILES = 200
 
@@ -46,8 +40,12 @@ class Batch:
     """Files that are read together and become one undo step."""
 
     step: str
-    begins_anew: bool
+    first: str
+    """Name of the first file."""
+    begins_anew: bool = False
     """Whether they take the place of what is open."""
+    unpacked: list[Path] = dataclasses.field(default_factory=list)
+    """What came out of zips."""
     loaded: list[Loaded] = dataclasses.field(default_factory=list)
     problems: list[str] = dataclasses.field(default_factory=list)
 
@@ -182,36 +180,71 @@ class Intake:
             self._must_be_idle()
             step = f"Open {len(paths)} files"
             if len(paths) == 1:
-                step = f"{'Add' if _kind(paths[0]) == 1 else 'Load'} {paths[0].name}"
-            elif all(_kind(path) == 2 for path in paths):
+                step = (
+                    f"{'Add' if kind_of(paths[0]) == PHOTO else 'Load'} {paths[0].name}"
+                )
+            elif all(kind_of(path) == CAMERAS for path in paths):
                 step = "Load cameras"
-            found = [path for path in paths if not _is_zip(path)]
-            for archive in filter(_is_zip, paths):
-                found += self._unpacked(archive, found)
-            meshes = [path for path in found if _kind(path) == 0]
-            if len(meshes) > 1:
-                raise InputError(
-                    f"{meshes[1].name} is a second mesh; photos are laid onto one. "
-                    "Join the meshes first."
-                )
-            if not found:
-                raise InputError(
-                    f"{paths[0].name} holds nothing that photoreg opens and that is not "
-                    "there already."
-                )
-            begins_anew = bool(meshes) and any(_kind(p) == 1 for p in found)
-            has_cameras = any(_kind(p) == 2 for p in found)
-            self._batch = batch = Batch(step, begins_anew)
-            to_read = sorted((p for p in found if _kind(p) < 2), key=_kind)
-            photos = {path.name: path for path in to_read if _kind(path) == 1}
-            if not begins_anew:
-                photos |= photo_files(self._session.state.document)
-            cameras = self._cameras if has_cameras else None
-            self._show("Opening", 0.0)
-            self._reader.read(
-                Wanted(tuple(to_read), cameras, photos),
-                lambda event: self._on_event(batch, event),
+            batch = Batch(step, paths[0].name)
+            archives = [path for path in paths if is_zip(path)]
+            found = [path for path in paths if not is_zip(path)]
+            if archives:
+                self._unpack(batch, archives, found)
+            else:
+                self._read(batch, found)
+
+    def _unpack(
+        self, batch: Batch, archives: Sequence[Path], found: list[Path]
+    ) -> None:
+        """Takes what is wanted out of zips, and reads it together with ``found``."""
+        document = self._session.state.document
+        packed = Packed(
+            tuple(archives),
+            self._cameras,
+            frozenset(entry.name for entry in document.photos)
+            | {path.name for path in found},
+            document.mesh is not None or any(kind_of(p) == MESH for p in found),
+        )
+        self._begin(batch, packed, lambda paths: self._read(batch, [*found, *paths]))
+
+    def _read(self, batch: Batch, found: Sequence[Path]) -> None:
+        """Reads files, and opens them together.
+
+        Raises:
+            InputError: if there are two meshes among them, or nothing is.
+        """
+        meshes = [path for path in found if kind_of(path) == MESH]
+        if len(meshes) > 1:
+            raise InputError(
+                f"{meshes[1].name} is a second mesh; photos are laid onto one. "
+                "Join the meshes first."
             )
+        if not found:
+            raise InputError(
+                f"{batch.first} holds nothing that photoreg opens and that is not "
+                "there already."
+            )
+        photos = {path.name: path for path in found if kind_of(path) == PHOTO}
+        batch.begins_anew = bool(meshes) and bool(photos)
+        if not batch.begins_anew:
+            photos |= photo_files(self._session.state.document)
+        has_cameras = any(kind_of(path) == CAMERAS for path in found)
+        wanted = Wanted(
+            tuple(sorted((p for p in found if kind_of(p) < CAMERAS), key=kind_of)),
+            self._cameras if has_cameras else None,
+            photos,
+        )
+        self._begin(batch, wanted, None)
+
+    def _begin(
+        self,
+        batch: Batch,
+        wanted: Wanted | Packed,
+        then: Callable[[Sequence[Path]], None] | None,
+    ) -> None:
+        self._batch = batch
+        self._show("Opening", 0.0)
+        self._reader.read(wanted, lambda event: self._on_event(batch, event, then))
 
     def cancel(self) -> bool:
         """Leaves the files that are coming or being read; whether there were any."""
@@ -224,7 +257,12 @@ class Intake:
         self._reader.cancel()
         return True
 
-    def _on_event(self, batch: Batch, event: ReadingEvent) -> None:
+    def _on_event(
+        self,
+        batch: Batch,
+        event: ReadingEvent,
+        then: Callable[[Sequence[Path]], None] | None,
+    ) -> None:
         with self._session.lock:
             if batch is not self._batch:
                 return  # It was cancelled.
@@ -233,12 +271,25 @@ class Intake:
                     self._show(event.title, event.fraction)
                 case MeshLoaded() | PhotoLoaded() | CamerasLoaded():
                     batch.loaded.append(event)
+                case Unpacked():
+                    try:
+                        batch.unpacked += [self._kept(path) for path in event.paths]
+                    except PhotoregError as error:
+                        batch.problems.append(str(error))
                 case Failed():
                     batch.problems.append(event.message)
                     if event.details:
                         log.error("%s\n%s", event.message, event.details)
                 case ReadAll():
-                    self._end(batch, event.complete)
+                    is_whole = event.complete and not (then and batch.problems)
+                    if then is None or not is_whole:
+                        self._end(batch, is_whole)
+                        return
+                    try:
+                        then(batch.unpacked)
+                    except PhotoregError as error:
+                        batch.problems.append(str(error))
+                        self._end(batch, complete=False)
 
     def _end(self, batch: Batch, complete: bool) -> None:
         self._batch = None
@@ -255,29 +306,11 @@ class Intake:
         job = Job(title, fraction, can_stop=True)
         self._session.change(None, setting(job=job))
 
-    def _unpacked(self, archive: Path, known: Sequence[Path]) -> list[Path]:
-        """The cameras in a zip, and the mesh and photos that are not there yet."""
-        document = self._session.state.document
-        names = {entry.name for entry in document.photos} | {p.name for p in known}
-        has_mesh = document.mesh is not None or any(_kind(p) == 0 for p in known)
-
-        def is_wanted(name: str) -> bool:
-            kind = _kind(Path(name))
-            if kind == 1:
-                # MeshLab's padded copies are of photos that have another name.
-                return name not in names and PADDED.fullmatch(name) is None
-            is_of_cameras = kind == 2 and not _is_zip(Path(name))
-            return is_of_cameras or (kind == 0 and not has_mesh)
-
-        folder = self._cameras / archive.stem
-        paths = unzipped(archive, folder, is_wanted)
-        archive.unlink()
-        return [
-            path
-            if _kind(path) == 2
-            else self._keep_file(plain_name(path.name), path.read_bytes())
-            for path in paths
-        ]
+    def _kept(self, path: Path) -> Path:
+        """A file out of a zip, where it stays."""
+        if kind_of(path) == CAMERAS:
+            return path  # Only read.
+        return self._keep_file(plain_name(path.name), path.read_bytes())
 
     def _new_folder(self) -> Path:
         folder = Path(self._folder.name) / str(next(self._count))
@@ -292,25 +325,15 @@ class Intake:
     def _keep(self, name: str, content: bytes) -> Path:
         # Only the last part of the name: a path must not leave the folder.
         plain = plain_name(name)
-        kind = _kind(Path(plain))
+        kind = kind_of(Path(plain))
         if kind == len(KINDS):
             suffixes = ", ".join(suffix for kind in KINDS for suffix in kind)
             raise InputError(
                 f"{plain} is not a file photoreg opens: the suffix should be one of "
                 f"{suffixes}."
             )
-        if kind < 2:
+        if kind < CAMERAS:
             return self._keep_file(plain, content)
         if (self._cameras / plain).exists():
             raise InputError(f"{plain} came twice. Give one, or a zip with folders.")
         return keep_file(self._cameras, plain, content)
-
-
-def _is_zip(path: Path) -> bool:
-    return path.suffix.lower() == ".zip"
-
-
-def _kind(path: Path) -> int:
-    """The place in ``KINDS``; their number if it is none of them."""
-    suffix = path.suffix.lower()
-    return next((i for i, kind in enumerate(KINDS) if suffix in kind), len(KINDS))

@@ -1,6 +1,7 @@
 """What the app and its processes tell each other: jobs down, events up."""
 
 import dataclasses
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -145,6 +146,13 @@ class Reading:
     title: str
     fraction: float
     """Of all the files that are read together."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Unpacked:
+    """Files have come out of a zip."""
+
+    paths: tuple[Path, ...]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -371,7 +379,7 @@ Event = (
     | Died
 )
 Loaded = MeshLoaded | PhotoLoaded | CamerasLoaded
-ReadingEvent = Reading | Loaded | Failed | ReadAll
+ReadingEvent = Reading | Unpacked | Loaded | Failed | ReadAll
 """What the reader tells, which is a process beside the worker."""
 
 Passing = Live | Picture | Measured | SurfaceDrawn

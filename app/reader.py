@@ -4,6 +4,7 @@ Neither Pillow nor trimesh can be interrupted within a file, nor can libyaml. Th
 for it: it holds the scene and its compiled kernels, and may be at work.
 """
 
+import contextlib
 import dataclasses
 import logging
 import threading
@@ -13,6 +14,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
+from app.kinds import CAMERAS, MESH, PHOTO, is_zip, kind_of
 from app.messages import (
     CamerasLoaded,
     Failed,
@@ -21,13 +23,16 @@ from app.messages import (
     ReadAll,
     Reading,
     ReadingEvent,
+    Unpacked,
 )
 from app.opening import DISPLAY_FACES
 from app.processes import PATIENCE_S, spawned
 from photoreg.errors import PhotoregError
+from photoreg.formats.archives import unzipped
 from photoreg.formats.camera_search import find_cameras
 from photoreg.formats.cameras import format_to_read, read_cameras
-from photoreg.mesh import MESH_SUFFIXES, load_mesh
+from photoreg.formats.meshlab import PADDED
+from photoreg.mesh import load_mesh
 from photoreg.photo import load_photo
 
 log = logging.getLogger(__name__)
@@ -48,6 +53,27 @@ class Wanted:
     """Photos by name, to which cameras may belong."""
 
 
+@dataclasses.dataclass(frozen=True)
+class Packed:
+    """Zips, out of which come cameras, and the mesh and photos that are not there."""
+
+    archives: tuple[Path, ...]
+    folder: Path
+    """Where they go."""
+    known: frozenset[str]
+    """Names of photos that are there."""
+    has_mesh: bool
+
+    def wants(self, name: str) -> bool:
+        """Whether a file comes out of its zip."""
+        kind = kind_of(Path(name))
+        if kind == PHOTO:
+            # MeshLab's padded copies are of photos that have another name.
+            return name not in self.known and PADDED.fullmatch(name) is None
+        is_of_cameras = kind == CAMERAS and not is_zip(Path(name))
+        return is_of_cameras or (kind == MESH and not self.has_mesh)
+
+
 class Reader:
     """Reads one batch of files at a time. Events arrive on a thread of this object."""
 
@@ -61,8 +87,10 @@ class Reader:
         with self._lock:
             self._start()
 
-    def read(self, wanted: Wanted, on_event: Callable[[ReadingEvent], None]) -> None:
-        """Starts to read; returns at once. The last event is ``ReadAll``.
+    def read(
+        self, wanted: Wanted | Packed, on_event: Callable[[ReadingEvent], None]
+    ) -> None:
+        """Starts to read or unpack; returns at once. The last event is ``ReadAll``.
 
         After ``cancel`` some events may still come that were on their way.
         """
@@ -94,7 +122,7 @@ class Reader:
 def _pump(
     process: BaseProcess,
     connection: Connection,
-    wanted: Wanted,
+    wanted: Wanted | Packed,
     on_event: Callable[[ReadingEvent], None],
 ) -> None:
     try:
@@ -111,13 +139,16 @@ def _pump(
         on_event(ReadAll(complete=False))
     except Exception:
         log.exception("A file that was read was not handled")
+        on_event(Failed("read", "Opening failed; the log has the details."))
         on_event(ReadAll(complete=False))
 
 
 def _serve(connection: Connection) -> None:
     try:
         while True:
-            for event in _read(connection.recv()):
+            wanted = connection.recv()
+            unpacks = isinstance(wanted, Packed)
+            for event in _unpack(wanted) if unpacks else _read(wanted):
                 connection.send(event)
     except (EOFError, OSError):
         return  # The app is gone.
@@ -131,26 +162,46 @@ def _read(wanted: Wanted) -> Iterator[ReadingEvent]:
         of = f" ({i + 1} of {len(places)})" if len(places) > 1 else ""
         done, share = sum(sizes[:i]) / sum(sizes), sizes[i] / sum(sizes)
         yield Reading(f"Reading {name}{of}", done)
-        try:
+        with _failures(f"Reading {name}") as failures:
             if place == wanted.cameras:
                 path = find_cameras(place)
                 told = path.name if path.is_file() else format_to_read(path).label
                 yield CamerasLoaded(told, read_cameras(path, photos=wanted.photos))
-            elif place.suffix.lower() in MESH_SUFFIXES:
+            elif kind_of(place) == MESH:
                 mesh = load_mesh(place)
                 title = f"Preparing {name} for display{of}"
                 yield Reading(title, done + PARSED * share)
                 yield MeshLoaded(mesh, mesh.decimated(DISPLAY_FACES))
             else:
                 yield PhotoLoaded(load_photo(place))
-        except PhotoregError as error:
-            yield Failed("read", str(error))
-        except MemoryError:
-            yield Failed("read", f"There is not enough memory to read {name}.")
-        except Exception:  # noqa: BLE001 - the border of the process: report.
-            text = f"Reading {name} crashed; the log has the details."
-            yield Failed("read", text, traceback.format_exc())
+        yield from failures
     yield ReadAll(complete=True)
+
+
+def _unpack(packed: Packed) -> Iterator[ReadingEvent]:
+    for i, archive in enumerate(packed.archives):
+        yield Reading(f"Unpacking {archive.name}", i / len(packed.archives))
+        folder = packed.folder / archive.stem
+        with _failures(f"Unpacking {archive.name}") as failures:
+            yield Unpacked(tuple(unzipped(archive, folder, packed.wants)))
+            archive.unlink()
+        yield from failures
+    yield ReadAll(complete=True)
+
+
+@contextlib.contextmanager
+def _failures(what: str) -> Iterator[list[Failed]]:
+    """Catches what goes wrong with one file; the list has it afterwards."""
+    failures: list[Failed] = []
+    try:
+        yield failures
+    except PhotoregError as error:
+        failures.append(Failed("read", str(error)))
+    except MemoryError:
+        failures.append(Failed("read", f"{what} takes more memory than there is."))
+    except Exception:  # noqa: BLE001 - the border of the process: report.
+        text = f"{what} crashed; the log has the details."
+        failures.append(Failed("read", text, traceback.format_exc()))
 
 
 def _size(place: Path) -> int:

@@ -1,6 +1,7 @@
 """Checks of the public border: shapes, finiteness, ranges, files to read and write."""
 
 import os
+import reprlib
 from pathlib import Path
 
 import numpy as np
@@ -31,9 +32,10 @@ def check_rows(values: np.ndarray, n_columns: int, name: str) -> np.ndarray:
         )
     bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if bad.size > 0:
+        rows = "1 row that is" if bad.size == 1 else f"{bad.size} rows that are"
         raise InputError(
-            f"{name} has {bad.size} rows that are not finite (first: row {bad[0]}). "
-            "Remove them and load again."
+            f"{name} has {rows} not finite (first: row {bad[0]}). Remove what is not "
+            "and load again."
         )
     return values
 
@@ -48,8 +50,8 @@ def check_finite_array(values: object, shape: tuple[int, ...], name: str) -> np.
         array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(
-            f"{name} should be numbers of shape {shape}, but could not be read as "
-            f"numbers ({error})."
+            f"{name} should be numbers of shape {shape}, but {reprlib.repr(values)} could "
+            "not be read as numbers."
         ) from error
     if array.shape != shape:
         raise InputError(

@@ -92,7 +92,7 @@ class Mesh:
             )
         if not self.area > 0.0:
             raise InputError(
-                f"{self.name} has no surface: all {len(faces)} triangles have zero area."
+                f"{self.name} has no surface: every triangle has zero area."
             )
 
     def __getstate__(self) -> dict[str, Any]:
@@ -340,8 +340,8 @@ def _read(path: Path, limits: Limits, maintain_order: bool = True) -> trimesh.Tr
         raise
     except Exception as error:
         raise InputError(
-            f"{path.name} could not be read as {path.suffix[1:].upper()} mesh: "
-            f"{_reason(error)}. Is the file complete?"
+            f"{path.name} could not be read as a mesh: {_reason(error)}. Is the file "
+            "complete?"
         ) from error
     if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
         count = len(getattr(loaded, "vertices", ()))

@@ -55,7 +55,7 @@ def _ply(path: Path, limits: Limits) -> None:
         end = head.find(b"end_header")
         if not head.lower().startswith(b"ply") or end < 0:
             raise InputError(
-                f"{path.name} could not be read as PLY mesh: it should begin with ply "
+                f"{path.name} could not be read as a mesh: it should begin with ply "
                 "and have a header that ends with end_header. Is the file complete?"
             )
         counts: dict[str, int] = {}
@@ -118,7 +118,7 @@ def _off(path: Path, limits: Limits) -> None:
                 n_lines += 1
     if not words or words[0] not in (b"OFF", b"COFF"):
         raise InputError(
-            f"{path.name} could not be read as OFF mesh: it should begin with OFF."
+            f"{path.name} could not be read as a mesh: it should begin with OFF."
         )
     if len(words) < 3 or not all(word.isdigit() for word in words[1:3]):
         raise InputError(
@@ -173,7 +173,7 @@ def _glb(path: Path, limits: Limits) -> None:
         head = file.read(20)
         if len(head) < 20 or head[:4] != b"glTF":
             raise InputError(
-                f"{path.name} could not be read as GLB mesh: it should begin with glTF."
+                f"{path.name} could not be read as a mesh: it should begin with glTF."
             )
         version, length, json_length, kind = struct.unpack("<IIII", head[4:])
         if version != 2 or kind != 0x4E4F534A:

@@ -18,6 +18,7 @@ import sys
 import tempfile
 import time
 import warnings
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ from hypothesis import strategies as st
 from photoreg.errors import PhotoregError
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
-from tests import lying_cameras, lying_input, lying_meshes, lying_photos
+from tests import lying_archives, lying_cameras, lying_input, lying_meshes, lying_photos
 
 EXAMPLES = 200
 """Files a round; rounds go on until the time is up."""
@@ -75,6 +76,8 @@ WORDS = [
         b"!!opencv-matrix",
         b"<MLMatrix44>",
         b"%YAML",
+        b"PK\1\2",
+        b"../",
     ),
 ]
 
@@ -162,6 +165,15 @@ def targets() -> dict[str, list[Content]]:
             },
         ],
     }
+    found["zip"] = [
+        {
+            "z.zip": lying_archives.packed(
+                {"in a folder/m.ply": b"p" * 50, "a.png": b""}
+            )
+        },
+        {"z.zip": lying_archives.packed(method=zipfile.ZIP_STORED)},
+        {"z.zip": lying_archives.packed(method=zipfile.ZIP_LZMA)},
+    ]
     for kind in lying_cameras.SAVED:
         found[kind] = [camera_files(kind)]
     return found
@@ -199,6 +211,8 @@ def check(value: Any) -> None:
     elif isinstance(value, Photo):
         assert value.pixels.dtype == np.uint8
         assert value.exif_focal_px is None or value.exif_focal_px > 0.0
+    elif isinstance(value, list):
+        assert all(path.is_file() for path in value)
     else:
         for name, camera in value.cameras.items():
             assert "/" not in name

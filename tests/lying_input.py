@@ -1,10 +1,13 @@
 """Files that lie, and what a reader should say of each: a case of the table."""
 
 import dataclasses
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from app.reader import Packed
+from photoreg.formats.archives import unzipped
 from photoreg.formats.cameras import read_cameras
 from photoreg.limits import Limits
 from photoreg.mesh import MESH_SUFFIXES, Mesh, load_mesh
@@ -14,6 +17,10 @@ LIMITS = Limits(
     file_mb=1.0, camera_file_mb=1.0, faces_millions=0.05, photo_megapixels=0.2
 )
 """Small, so that what is too large is quick to make."""
+
+
+OUT = "unpacked"
+"""Folder of what comes out of a zip."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,7 +54,22 @@ def read_path(path: Path) -> Any:
         return load_mesh(path, LIMITS)
     if suffix in PHOTO_SUFFIXES:
         return load_photo(path, LIMITS)
+    if suffix == ".zip":
+        return unpack(path)
     return read_cameras(path, photos=sorted(path.parent.glob("*.png")))
+
+
+def unpack(archive: Path) -> list[Path]:
+    """What the app takes out of a zip; asserts that nothing comes elsewhere."""
+    folder = archive.parent / OUT
+    shutil.rmtree(folder, ignore_errors=True)
+    around = archive.parents[1]
+    before = set(around.rglob("*"))
+    paths = unzipped(archive, folder, Packed((), folder, frozenset(), False).wants)
+    strays = {p for p in around.rglob("*") if not p.is_relative_to(folder)} - before
+    assert not strays, f"files came elsewhere: {strays}"
+    assert not any(path.is_symlink() for path in folder.rglob("*"))
+    return paths
 
 
 def described(value: Any) -> str:
@@ -65,4 +87,8 @@ def described(value: Any) -> str:
         corner = tuple(int(v) for v in value.pixels[0, 0])
         mask = "" if value.mask is None else ", mask"
         return f"read: {value.width} x {value.height} px, first pixel {corner}{mask}"
+    if isinstance(value, list):
+        at = [path.parts.index(OUT) + 1 for path in value]
+        names = ["/".join(path.parts[i:]) for i, path in zip(at, value, strict=True)]
+        return f"read: {', '.join(names) or 'nothing'}"
     return f"read: {len(value.cameras)} cameras"

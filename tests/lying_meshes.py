@@ -467,7 +467,7 @@ def glb_cases() -> Iterator[Case]:
         glb().replace(b'{"asset"', b'{,asset"'),
         "JSON",
     )
-    yield Case("description is a list", "m.glb", glb(change=lambda d: d.clear()), "")
+    yield Case("description is empty", "m.glb", glb(change=lambda d: d.clear()), "")
     yield Case(
         "version 1", "m.glb", glb()[:4] + struct.pack("<I", 1) + glb()[8:], "version 2"
     )

@@ -87,7 +87,7 @@ BAD_TEXT: list[tuple[str, str, str]] = [
         "transforms.json",
         '{"w": 9, "h": 9, "fl_x": 9, "frames": [{"file_path": "a.jpg", '
         f'"transform_matrix": [[1{"0" * 400}]]}}]}}',
-        "could not be read as numbers",
+        "not be read as numbers",
     ),
     (
         "transforms.json",

@@ -115,24 +115,6 @@ def test_other_json_beside_a_project_is_not_mistaken_for_cameras(tmp_path, scene
     assert find_cameras(tmp_path).name == made.name
 
 
-def test_a_zip_leads_nowhere_else_and_has_bounds(tmp_path, monkeypatch):
-    path = tmp_path / "evil.zip"
-    with zipfile.ZipFile(path, "w") as archive:
-        for name in ("../../up.txt", "/root.txt", "C:\\windows.txt", "a/../b.txt"):
-            archive.writestr(name, b"x")
-    home = tmp_path / "home"
-    for written in unzipped(path, home, lambda _: True):
-        assert written.resolve().is_relative_to(home)
-    monkeypatch.setattr("photoreg.formats.archives.MAX_UNPACKED_BYTES", 3)
-    with pytest.raises(InputError, match="unpack to more than"):
-        unzipped(path, home, lambda _: True)
-    data = bytearray(path.read_bytes())
-    data[40] ^= 0xFF
-    path.write_bytes(bytes(data[:200]))
-    with pytest.raises(InputError, match="damaged"):
-        unzipped(path, home, lambda _: True)
-
-
 def test_a_renamed_photo_of_texrecon_is_found_by_its_name_here(tmp_path, scene):
     cameras, photos = scene
     made = cameras_download("texrecon", cameras.cameras, photos, with_photos=False)

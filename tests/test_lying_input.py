@@ -16,6 +16,7 @@ from app.warm_up import toy_scene
 from photoreg.errors import PhotoregError
 from photoreg.mesh import Mesh
 from photoreg.readiness import check_readiness
+from tests.lying_archives import zip_archive_cases
 from tests.lying_cameras import camera_cases
 from tests.lying_input import Case, described, read
 from tests.lying_meshes import mesh_cases
@@ -54,12 +55,18 @@ def faults(case: Case, answer: str) -> str | None:
 
 @pytest.mark.parametrize(
     ("kind", "cases"),
-    [("meshes", mesh_cases), ("photos", photo_cases), ("cameras", camera_cases)],
+    [
+        ("meshes", mesh_cases),
+        ("photos", photo_cases),
+        ("cameras", camera_cases),
+        ("archives", zip_archive_cases),
+    ],
 )
 def test_every_lie_gets_a_sentence_or_is_read_right(
     kind: str, cases: Callable[[], Iterator[Case]], tmp_path: Path, monkeypatch
 ):
     monkeypatch.setenv("PHOTOREG_MAX_CAMERA_FILE_MB", "1")
+    monkeypatch.setenv("PHOTOREG_MAX_FILE_MB", "1")
     rows, wrong = [], []
     for number, case in enumerate(cases()):
         # Two levels down, so that files above it lie within the test's folder.

@@ -1,5 +1,6 @@
 """Several files as one zip: packed for a download, and unpacked within bounds."""
 
+import lzma
 import shutil
 import zipfile
 import zlib
@@ -7,10 +8,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from photoreg.errors import InputError, OutputError
+from photoreg.limits import Limits
 
 COMPRESSED = (".png", ".jpg", ".jpeg", ".glb")
 MAX_MEMBERS = 20_000
-MAX_UNPACKED_BYTES = 8 << 30
+TOGETHER = 4
+"""All files of a zip may be so many times the size of one."""
 
 
 def zipped(folder: Path, files: Sequence[Path]) -> bytes:
@@ -38,8 +41,8 @@ def unzipped(path: Path, folder: Path, wanted: Callable[[str], bool]) -> list[Pa
         wanted: Told the file name of a member, without its folders, whether to take it.
 
     Raises:
-        InputError: if it is not a zip, is damaged or encrypted, or holds more than
-            8 GB or 20,000 files.
+        InputError: if it is not a zip, is damaged or encrypted, or holds a file or
+            all together more than the limits say, or more than 20,000 files.
         OutputError: if the files cannot be written.
     """
     unpacked = []
@@ -52,19 +55,30 @@ def unzipped(path: Path, folder: Path, wanted: Callable[[str], bool]) -> list[Pa
             ]
             if len(archive.infolist()) > MAX_MEMBERS:
                 raise InputError(f"{path.name} holds more than {MAX_MEMBERS:,} files.")
-            if sum(member.file_size for member in members) > MAX_UNPACKED_BYTES:
-                raise InputError(
-                    f"{path.name} would unpack to more than "
-                    f"{MAX_UNPACKED_BYTES >> 30} GB. Give its files instead."
-                )
+            limit = Limits.of_environment().file_bytes
             for member in members:
+                if member.file_size > limit:
+                    raise InputError(
+                        f"{_parts(member)[-1]} in {path.name} would unpack to "
+                        f"{member.file_size / 1e6:,.0f} MB; up to {limit / 1e6:,.0f} MB "
+                        "are read. Reduce it, or raise the limit (SECURITY.md names its "
+                        "variable)."
+                    )
+            size = sum(member.file_size for member in members)
+            if size > TOGETHER * limit:
+                raise InputError(
+                    f"{path.name} would unpack to {size / 1e6:,.1f} MB; up to "
+                    f"{TOGETHER * limit / 1e6:,.0f} MB are unpacked. Give its files "
+                    "instead."
+                )
+            for member in {member.filename: member for member in members}.values():
                 target = folder.joinpath(*_parts(member))
                 target.parent.mkdir(parents=True, exist_ok=True)
                 # Never more bytes than announced: zipfile stops there.
                 with archive.open(member) as source, target.open("wb") as file:
                     shutil.copyfileobj(source, file, 1 << 20)
                 unpacked.append(target)
-    except (zipfile.BadZipFile, zlib.error, EOFError) as error:
+    except (zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError) as error:
         raise InputError(
             f"{path.name} could not be unpacked: it is damaged, or not a zip."
         ) from error
@@ -75,8 +89,7 @@ def unzipped(path: Path, folder: Path, wanted: Callable[[str], bool]) -> list[Pa
         ) from error
     except OSError as error:
         raise OutputError(
-            f"{path.name} could not be unpacked into {folder}: "
-            f"{error.strerror or error}."
+            f"{path.name} could not be unpacked: {error.strerror or error}."
         ) from error
     return unpacked
 

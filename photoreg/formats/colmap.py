@@ -169,7 +169,7 @@ def load_colmap_text(folder: Path) -> dict[str, Camera]:
         words = line.split()
         if len(words) < 5:
             raise InputError(f"{where} should be CAMERA_ID MODEL WIDTH HEIGHT PARAMS.")
-        parameters = numbers(words[4:], len(words) - 4, where, "a parameter")
+        parameters = numbers(words[4:], len(words) - 4, where, "its parameters")
         size = size_px(words[2], words[3], where)
         lenses[whole(words[0], where, "the camera's number")] = _Lens(
             words[1], *size, parameters

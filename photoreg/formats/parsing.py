@@ -79,7 +79,8 @@ def numbers(
             f"{where}: {what} should be {' or '.join(map(str, allowed))} numbers, but "
             f"there are {len(words)}."
         )
-    return [finite(word, where, what) for word in words]
+    part = what if len(words) == 1 else f"a value of {what}"
+    return [finite(word, where, part) for word in words]
 
 
 def whole(value: object, where: str, what: str) -> int:
