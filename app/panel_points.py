@@ -3,6 +3,7 @@
 import itertools
 import json
 import threading
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,8 @@ class PointsPanel:
         self._session = session = conductor.session
         self._pictures = pictures
         self._picking: set[int] = set()
+        self.on_picking: Callable[[int, bool], None] = lambda *_: None
+        """Called when clicks on the model begin or cease to place points in a browser."""
         self._gesture = itertools.count()
         self._pull: tuple[str, int] = ("pull", -1)
         self._choice = gui.add_dropdown("Photo", photo_options(session.state))
@@ -74,7 +77,8 @@ class PointsPanel:
         )
         gui.add_markdown(
             "Drag a marker, in the photo or on the model, to correct it; **Delete** "
-            "removes the one in focus. In the photo the wheel zooms, dragging pans."
+            "removes the one in focus. In the photo the wheel zooms, dragging pans. "
+            "While this tab is open no camera stands in the way of the model."
         )
         bus.on("pick", self._on_pick)
         bus.on("move", self._on_move)
@@ -207,6 +211,7 @@ class PointsPanel:
         self._session.change(None, points.chosen(str(values["photo"]), number))
 
     def _on_picking(self, values: Values, client: viser.ClientHandle) -> None:
+        self.on_picking(client.client_id, bool(values["on"]))
         if values["on"]:
             self._picking.add(client.client_id)
             mesh = self._session.state.document.mesh

@@ -152,6 +152,7 @@ class Page:
                 np.array(event.ray_direction),
             )
 
+        points.on_picking = self._on_picking
         self.scene.markers.on_pull = lambda pull: points.on_marker_pull(
             self.scene.frame, pull
         )
@@ -181,6 +182,11 @@ class Page:
             viewport = self._viewports.get(event.client_id or 0)
             if viewport is not None:
                 viewport.fit()
+
+    def _on_picking(self, browser: int, on: bool) -> None:
+        viewport = self._viewports.get(browser)
+        if viewport is not None:
+            viewport.pick(on)
 
     def _on_travel(self, client: viser.ClientHandle, value: str) -> None:
         if value == "help":

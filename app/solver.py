@@ -7,6 +7,7 @@ import dataclasses
 import logging
 import threading
 from collections.abc import Hashable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +25,14 @@ SURFACE_POINTS = 400
 """Vertices over which the error is foretold."""
 
 
+class Wanted(NamedTuple):
+    """A camera that shall stand where its pairs say."""
+
+    photo: str
+    step: str
+    gesture: Hashable
+
+
 class Solver:
     """Keeps ``State.solution`` that of the selected photo's pairs."""
 
@@ -31,7 +40,8 @@ class Solver:
         self._session = session
         self._wake = threading.Event()
         self._closed = False
-        self._wanted: tuple[str, str, Hashable] | None = None
+        self._lock = threading.Lock()
+        self._wanted: Wanted | None = None
         self._leave = session.listen(self._follow)
         self._thread = threading.Thread(target=self._run, daemon=True, name="solver")
         self._thread.start()
@@ -52,7 +62,8 @@ class Solver:
             step: Name of the undo step.
             gesture: That of the click which asked for it; both are one undo step.
         """
-        self._wanted = (photo, step, gesture)
+        with self._lock:
+            self._wanted = Wanted(photo, step, gesture)
         self._wake.set()
 
     def _follow(self, old: State, new: State) -> None:
@@ -72,35 +83,36 @@ class Solver:
                 log.exception("Solving failed")
 
     def _solve(self) -> None:
+        # Taken before the pairs are read: a wish that comes later is for newer pairs.
+        with self._lock:
+            wanted, self._wanted = self._wanted, None
         state = self._session.state
-        entry = state.selected_photo
-        solution = state.solution
-        if entry is None:
-            return
-        if (
-            solution is None
-            or solution.pairs != entry.whole_pairs
-            or solution.photo is not entry.photo
-        ):
-            solution = solved(entry, state.document.mesh)
+        known, selected = state.solution, state.selected_photo
+        solutions = {
+            entry.name: known
+            if known is not None and known.is_of(entry)
+            else solved(entry, state.document.mesh)
+            for entry in state.document.photos
+            if entry is selected or (wanted is not None and entry.name == wanted.photo)
+        }
         with self._session.lock:
-            self._session.change(
-                None, lambda state: dataclasses.replace(state, solution=solution)
-            )
-            self._place(solution)
+            if selected is not None:
+                solution = solutions[selected.name]
+                self._session.change(
+                    None, lambda state: dataclasses.replace(state, solution=solution)
+                )
+            if wanted is not None and wanted.photo in solutions:
+                self._place(solutions[wanted.photo], wanted)
 
-    def _place(self, solution: Solution) -> None:
-        wanted, self._wanted = self._wanted, None
-        if wanted is None or solution.resection is None:
-            return
-        name, step, gesture = wanted
-        camera = solution.resection.camera
+    def _place(self, solution: Solution, wanted: Wanted) -> None:
         state = self._session.state
+        if solution.resection is None or state.run.status != "idle":
+            return
+        camera = solution.resection.camera
         for i, entry in enumerate(state.document.photos):
-            if entry.name == name and entry.whole_pairs == solution.pairs:
-                if state.run.status == "idle":
-                    self._session.change(step, with_entry(i, camera=camera), gesture)
-                return
+            if entry.name == wanted.photo and solution.is_of(entry):
+                change = with_entry(i, camera=camera)
+                self._session.change(wanted.step, change, wanted.gesture)
 
 
 def solved(entry: PhotoEntry, mesh: Mesh | None) -> Solution:

@@ -231,6 +231,14 @@ class Solution:
     problem: str
     """Why there is none, if there are pairs enough."""
 
+    def is_of(self, entry: "PhotoEntry | None") -> bool:
+        """Whether it is that of the photo's pairs as they are."""
+        return (
+            entry is not None
+            and self.photo is entry.photo
+            and self.pairs == entry.whole_pairs
+        )
+
 
 @dataclasses.dataclass(frozen=True)
 class Agreement:
@@ -369,13 +377,8 @@ class State:
     @property
     def current_solution(self) -> Solution | None:
         """The solution, if it is that of the selected photo's pairs as they are."""
-        entry, solution = self.selected_photo, self.solution
-        if (
-            entry is None
-            or solution is None
-            or solution.photo is not entry.photo
-            or solution.pairs != entry.whole_pairs
-        ):
+        solution = self.solution
+        if solution is None or not solution.is_of(self.selected_photo):
             return None
         return solution
 

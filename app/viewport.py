@@ -75,6 +75,7 @@ class Viewport:
         """``wake`` asks for ``show`` on the thread that paints."""
         self.client = client
         self.mode: Mode = "free"
+        self._is_picking = False
         self.zoom = 1.0
         """In Inspect: how much larger than the whole photo."""
         self._conductor = conductor
@@ -95,7 +96,7 @@ class Viewport:
         self._told_at = -np.inf
         self._framed: object = None
         client.camera.min_orbit_distance = PIVOT
-        self._hide("/clear")
+        self._hide()
         client.camera.on_update(guarded(self._on_camera))
 
     # What the user asks for.
@@ -116,7 +117,7 @@ class Viewport:
                 return
             self._leave_inspect()
             self.mode = "free"
-            self._hide("/clear")
+            self._hide()
             self._photo.show_none(self._session.state.dark)
             self._stands_at = None
             if self._home is None:
@@ -126,6 +127,13 @@ class Viewport:
             with self.client.atomic():
                 _place(self.client, position, look_at, up)
                 self.client.camera.fov = FREE_FOV
+
+    def pick(self, on: bool) -> None:
+        """Clicks on the model place points, or no longer do: no camera in their way."""
+        with self._lock:
+            if on != self._is_picking:
+                self._is_picking = on
+                self._hide()
 
     def fit(self) -> None:
         """Inspect: the whole photo again."""
@@ -153,10 +161,12 @@ class Viewport:
                 np.array(camera.look_at),
                 np.array(camera.up_direction),
             )
-            self._hide("/solid", "/cameras")
+        was_free = self.mode == "free"
         if mode != "inspect":
             self._leave_inspect()
         self.mode, self.zoom, self._aim = mode, 1.0, None
+        if was_free:
+            self._hide()
         self._stands_at = None
         self._wake()
 
@@ -319,11 +329,16 @@ class Viewport:
             self.zoom = zoom
             self._wake()
 
-    def _hide(self, *names: str) -> None:
+    def _hide(self) -> None:
         """Hides shared nodes for this browser alone, and shows the others again.
 
         A node of the client of the same name lies over the server's.
         """
+        names = ["/clear"] if self.mode == "free" else ["/solid", "/cameras"]
+        if self.mode == "free" and self._is_picking:
+            # A camera that its points have just placed stands before the object, and
+            # its gizmo would take the next click.
+            names.append("/cameras")
         for handle in self._hidden:
             handle.remove()
         self._hidden = [

@@ -1,6 +1,7 @@
 """Clicks become pairs, pairs become cameras: the rules, without a browser."""
 
 import dataclasses
+from threading import Event
 
 import numpy as np
 import pytest
@@ -150,6 +151,41 @@ def test_a_click_and_the_camera_that_follows_are_one_undo_step(session, document
         entry = session.state.document.photos[0]
         assert same_camera(entry.camera, wrong)
         assert len(entry.pairs) == 7
+    finally:
+        solver.close()
+
+
+def test_a_click_while_older_pairs_are_solved_still_places_the_camera(
+    session, document, monkeypatch
+):
+    entry = document.photos[0]
+    pairs, begun, go = true_pairs(entry, document.mesh, 8), Event(), Event()
+    wrong = dataclasses.replace(
+        entry.camera, t_cam_world=entry.camera.t_cam_world * 1.2
+    )
+
+    def slowly(entry, mesh):
+        if len(entry.pairs) == 7:
+            begun.set()
+            assert go.wait(20)
+        return solved(entry, mesh)
+
+    monkeypatch.setattr("app.solver.solved", slowly)
+    session.change("Spoil", rules.with_entry(0, camera=wrong, pairs=pairs[:7]))
+    solver = Solver(session)
+    try:
+        assert begun.wait(20)
+        session.change("Point", rules.with_entry(0, pairs=pairs), "click")
+        solver.place(entry.name, "Point", "click")
+        go.set()
+        wait_until(
+            lambda: not same_camera(session.state.document.photos[0].camera, wrong),
+            "the camera is placed",
+            20,
+        )
+        solution = session.state.current_solution
+        assert solution is not None
+        assert len(solution.pairs) == 8
     finally:
         solver.close()
 

@@ -12,8 +12,9 @@ from tests.browser.app import App
 from tests.browser.driver import Driver, wait_until
 
 N_PAIRS = 8
-GOOD_SHARE = 0.6
-"""Of what the view shows of the object, seen by the photo, too."""
+CLOSE_RAD = np.radians(12.0)
+"""So near to the photo's side of the object a person stops turning."""
+
 _DROP = """files => {
   const transfer = new DataTransfer();
   for (const [name, text] of files) {
@@ -46,7 +47,7 @@ def places_to_click(
     app: App, camera: Camera, n: int
 ) -> list[tuple[tuple[int, int], np.ndarray]]:
     """Far apart, window pixels over the model that the photo sees, and where it does."""
-    spots, pixels, world, _ = _shared_places(app, camera)
+    spots, pixels, world = _shared_places(app, camera)
     assert len(spots) > 3 * n, "model and photo share much of the surface"
     chosen = [0]
     while len(chosen) < n:
@@ -56,20 +57,37 @@ def places_to_click(
 
 
 def turn_to_see(app: App, camera: Camera) -> None:
-    """Turns the free view until it shows the side that the photo shows."""
-    canvas = app.driver.canvas()
-    corner = (canvas["x"] + 40, canvas["y"] + 40)
-    for way in (*[(90.0, 0.0)] * 7, (0.0, 70.0), *[(90.0, 0.0)] * 7):
-        if _shared_places(app, camera)[3] > GOOD_SHARE:
+    """Turns the free view about the object to the side that the photo was taken from."""
+    document, driver = app.state.document, app.driver
+    assert document.mesh is not None
+    frame, up = app.page.scene.frame, np.array(document.up)
+    middle = frame.to_page(document.mesh.bounds.mean(axis=0))
+    wanted = frame.to_page(camera.center) - middle
+    for _ in range(4):
+        position, _, _ = driver.viewport_camera()
+        away = position - middle
+        level = away - up * (away @ up)
+        level /= np.linalg.norm(level)
+        around = np.arctan2(wanted @ np.cross(up, level), wanted @ level)
+        above = _elevation(wanted, up) - _elevation(away, up)
+        if max(abs(around), abs(above)) < CLOSE_RAD:
             return
-        app.driver.drag(corner, way)
-        app.driver.frames(12)
+        # A drag over the canvas' height turns once around, whatever its width.
+        canvas = driver.canvas()
+        across, down = canvas["height"] / (2 * np.pi) * np.array([-around, above])
+        corner = canvas["x"] + (40 if across > 0 else canvas["width"] - 40)
+        driver.drag((corner, canvas["y"] + 40), (float(across), float(down)))
+        driver.frames(3)
+
+
+def _elevation(way: np.ndarray, up: np.ndarray) -> float:
+    return float(np.arcsin(way @ up / np.linalg.norm(way)))
 
 
 def _shared_places(
     app: App, camera: Camera
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Window pixels over the model that the photo sees, where, and their share of all."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Window pixels over the model that the photo sees, where, and what they meet."""
     driver, frame = app.driver, app.page.scene.frame
     mesh = app.state.document.mesh
     assert mesh is not None
@@ -93,7 +111,7 @@ def _shared_places(
     _, seen_at = mesh.first_hits(starts, ways)
     pixels = camera.project(world)
     good = (np.abs(seen_at - 1.0) < 1e-3) & camera.contains(pixels)
-    return spots[good], pixels[good], world[good], float(good.mean())
+    return spots[good], pixels[good], world[good]
 
 
 def click_pairs(app: App, places: Sequence[tuple[tuple[int, int], np.ndarray]]) -> None:
