@@ -24,12 +24,12 @@ from typing import Any
 import msgspec
 import numpy as np
 import websockets
-import zstandard
 from playwright.sync_api import Browser, sync_playwright
 
 from app.autosave import DOCUMENT_TYPES
 from photoreg.project import Project
 from tests.bench.metrics import Metric
+from tests.bench.wire import PROTOCOL, unpacked
 from tests.browser.driver import Driver, launch, wait_until
 from tests.server_program import server
 
@@ -60,7 +60,7 @@ class Watcher:
             async with websockets.connect(
                 self._address.replace("http", "ws"),
                 origin=self._address,  # pyright: ignore[reportArgumentType]
-                subprotocols=["viser-v1.1.1"],  # pyright: ignore[reportArgumentType]
+                subprotocols=[PROTOCOL],  # pyright: ignore[reportArgumentType]
                 max_size=None,
             ) as self._socket:
                 listening = asyncio.create_task(self._listen())
@@ -109,13 +109,8 @@ class Watcher:
         await self._socket.send(msgspec.msgpack.encode(message))
 
     async def _listen(self) -> None:
-        unpack = zstandard.ZstdDecompressor()
         async for raw in self._socket:
-            size = int.from_bytes(raw[8:16], "little")
-            inner = unpack.decompress(
-                raw[16 : 16 + size], int.from_bytes(raw[:8], "little")
-            )
-            for message in msgspec.msgpack.decode(inner)["messages"]:
+            for message in unpacked(raw):
                 self.n_messages += 1
                 await self._hear(message)
 

@@ -44,14 +44,17 @@ def launch(playwright: Playwright) -> Browser:
 
 
 def wait_until(
-    happened: Callable[[], object], what: str, timeout_s: float = 60.0
+    happened: Callable[[], object],
+    what: str,
+    timeout_s: float = 60.0,
+    poll_s: float = 0.02,
 ) -> None:
     """Polls until ``happened()`` is true; fails with ``what`` after the timeout."""
     deadline = time.monotonic() + timeout_s
     while not happened():
         if time.monotonic() > deadline:
             raise AssertionError(f"Waited {timeout_s:g} s in vain: {what}.")
-        time.sleep(0.02)
+        time.sleep(poll_s)
 
 
 class Driver:

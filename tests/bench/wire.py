@@ -1,0 +1,51 @@
+"""The page's protocol without a browser: a websocket, and what comes in over it."""
+
+import contextlib
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import msgspec
+import viser
+import websockets
+import zstandard
+from websockets.sync.client import connect
+
+PROTOCOL = f"viser-v{viser.__version__}"
+
+
+def unpacked(raw: bytes) -> list[dict[str, Any]]:
+    """The messages of one frame of the socket; arrays are left out of them."""
+    size = int.from_bytes(raw[8:16], "little")
+    inner = zstandard.ZstdDecompressor().decompress(
+        raw[16 : 16 + size], int.from_bytes(raw[:8], "little")
+    )
+    return msgspec.msgpack.decode(inner)["messages"]
+
+
+@contextlib.contextmanager
+def listening(address: str, hear: Callable[[dict[str, Any]], None]) -> Iterator[None]:
+    """Calls ``hear`` with every message of the page, on a thread, meanwhile."""
+    origin: Any = address
+    protocols: Any = [PROTOCOL]
+    socket = connect(
+        address.replace("http", "ws"),
+        origin=origin,
+        subprotocols=protocols,
+        max_size=None,
+    )
+
+    def listen() -> None:
+        with contextlib.suppress(websockets.ConnectionClosed):
+            for raw in socket:
+                assert isinstance(raw, bytes)
+                for message in unpacked(raw):
+                    hear(message)
+
+    thread = threading.Thread(target=listen, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        socket.close()
+        thread.join()
