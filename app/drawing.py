@@ -21,6 +21,7 @@ from app.messages import (
     Picture,
     SurfaceDrawn,
 )
+from app.placement import DisplayFrame
 from app.state import Surface, same_camera
 from photoreg.camera import Camera
 from photoreg.errors import PhotoregError
@@ -149,7 +150,9 @@ class Drawing:
     def surface(self, cameras: tuple[Camera, ...], surface: Surface) -> SurfaceDrawn:
         """The object with photos or heat map laid on."""
         if self._surface is None:
-            self._surface = LiveSurface(self._overlay.mesh, self._photos)
+            self._surface = LiveSurface(
+                self._overlay.quick_mesh, self._photos, DisplayFrame.of(self._mesh)
+            )
         return SurfaceDrawn(self._surface.glb(cameras, surface))
 
     def comparison(self, job: Compare) -> Compared:

@@ -19,9 +19,6 @@ from photoreg.inconsistency import CLAY, SurfaceSight, vertex_colours
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 
-MAX_FACES = 10_000
-"""More would take a browser longer to read than the picture lasts."""
-
 PHOTO_SIDE_PX = 768
 PHOTO_QUALITY = 80
 
@@ -31,10 +28,20 @@ FLOAT, UINT, UBYTE = 5126, 5125, 5121
 class LiveSurface:
     """Draws the surface under changing cameras; what does not change is kept."""
 
-    def __init__(self, mesh: Mesh, photos: Sequence[Photo]) -> None:
-        self._sight = SurfaceSight(mesh.decimated(MAX_FACES), photos, PHOTO_SIDE_PX)
+    def __init__(
+        self, mesh: Mesh, photos: Sequence[Photo], frame: DisplayFrame
+    ) -> None:
+        """Makes ready.
+
+        Args:
+            mesh: The surface in few faces: a browser must read them while the picture
+                lasts.
+            photos: The photos.
+            frame: The page's, that of the whole mesh.
+        """
+        self._sight = SurfaceSight(mesh, photos, PHOTO_SIDE_PX)
         shown = self._sight.mesh
-        self._positions = DisplayFrame.of(mesh).to_page(shown.vertices).astype("<f4")
+        self._positions = frame.to_page(shown.vertices).astype("<f4")
         self._faces = shown.faces.astype("<u4")
         self._photos = [_jpeg(photo.pixels) for photo in self._sight.photos]
 

@@ -32,6 +32,10 @@ LIVE_MAX_FACES = 200_000
 """Finer meshes are decimated for live pictures: smaller faces than pixels cost time
 and change nothing that can be seen."""
 
+QUICK_MAX_FACES = 10_000
+"""The same for pictures that are overtaken within a fifth of a second: drawing 20,000
+faces twice takes longer than carrying the pixels."""
+
 OverlayMode = Literal[
     "blend", "checkerboard", "difference", "edges", "swipe", "carried"
 ]
@@ -72,19 +76,20 @@ class LiveOverlay:
             )
         self.mesh = mesh.decimated(LIVE_MAX_FACES)
         self.photos = tuple(photo.resized(max_side_px) for photo in photos)
+        self.quick_mesh = self.mesh.decimated(QUICK_MAX_FACES)
         self._quick = tuple(photo.resized(max_side_px // 2) for photo in photos)
 
     def quick_pair(
         self, cameras: Sequence[Camera], onto: int, carried: int
     ) -> AlignedPair:
-        """As ``pair``, with the carried photo at half the resolution: a quarter the time.
+        """As ``pair``, with the carried photo at half the resolution: a fifth of the time.
 
         The photo underneath is as sharp as ever. For looking at while cameras move; a
         difference of the two would show the loss of sharpness.
         """
         below = self.photos[onto]
         picture, seen = _carry(
-            self.mesh, self._quick[carried], cameras[carried],
+            self.quick_mesh, self._quick[carried], cameras[carried],
             _sized_like(cameras[onto], self._quick[onto]),
         )  # fmt: skip
         size = (below.width, below.height)

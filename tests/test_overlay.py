@@ -146,6 +146,23 @@ def test_live_overlays_equal_those_made_one_by_one(mesh, photos, cameras):
     )
 
 
+def test_a_quick_pair_shows_the_same_with_less_sharpness(mesh, photos, cameras):
+    live = LiveOverlay(mesh, photos, max_side_px=240)
+    sharp, quick = live.pair(cameras, 0, 1), live.quick_pair(cameras, 0, 1)
+    np.testing.assert_array_equal(quick.base, sharp.base)
+    # It takes a larger distance from silhouettes, and there only sees less.
+    assert not (quick.seen & ~sharp.seen).any()
+    assert quick.seen.sum() > 0.7 * sharp.seen.sum()
+
+    def off(picture: np.ndarray) -> float:
+        change = picture.astype(float) - sharp.carried
+        return float(np.abs(change[quick.seen]).mean())
+
+    # Half a pixel either way would show; a loss of sharpness does not.
+    shifted = 0.5 * (sharp.carried.astype(float) + np.roll(sharp.carried, 1, axis=1))
+    assert off(quick.carried) < off(shifted), (off(quick.carried), off(shifted))
+
+
 def test_an_unknown_mode_is_refused_and_the_known_ones_named(mesh, photos, cameras):
     pair = LiveOverlay(mesh, photos, 240).pair(cameras, 0, 1)
     with pytest.raises(InputError, match=r"'blnd'.*checkerboard"):

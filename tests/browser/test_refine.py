@@ -1,6 +1,7 @@
 """A run in the page: started, paused, stopped, reverted, held, seen twice, survived."""
 
 import os
+import re
 import signal
 
 import numpy as np
@@ -10,6 +11,7 @@ from app.outcomes import has_moved
 from app.run import PRESET_NAMES
 from app.session import looking_at, setting
 from app.state import Document, PhotoEntry
+from app.words import in_words, number
 from photoreg.box_reach import box_reach
 from photoreg.presets import PresetName, RegistrationConfig
 from photoreg.synthetic import SceneOptions, make_scene
@@ -61,6 +63,15 @@ def drop(app) -> None:
         app.driver.click("Revert")
     wait_until(lambda: app.state.run.status == "idle", "it is dropped")
     app.driver.frames(2)
+
+
+def choose(app, dropdown: str, option: str) -> None:
+    """Chooses of a dropdown what begins like this."""
+    window = app.driver.page
+    window.get_by_label(dropdown, exact=True).locator("visible=true").click()
+    # The options of other dropdowns are in the page too, unseen.
+    options = window.get_by_role("option", name=re.compile(f"^{option}"))
+    options.locator("visible=true").click()
 
 
 def to_its_end(app) -> None:
@@ -206,6 +217,34 @@ def test_each_preset_is_chosen_by_its_plain_name_and_the_box_is_told_in_pixels(a
         window.get_by_text(f"Looks about {expected.typical_px:.0f} px").wait_for()
         reaches[preset] = expected.typical_px
     assert reaches["thorough"] > 1.5 * reaches["default"]
+
+
+def test_a_run_of_the_list_is_looked_at_compared_and_restored(app):
+    document, runs = app.state.document, app.state.runs
+    first = next(run for run in runs if has_moved(run) and run.cost is not None)
+    other = next(run for run in reversed(runs) if run is not first and has_moved(run))
+    window = app.driver.page
+    window.get_by_text("Runs", exact=True).click()
+    row = window.get_by_role("row").filter(
+        has=window.get_by_role("cell", name=str(first.number), exact=True).first
+    )
+    shown = row.first.inner_text().split("\t")
+    assert first.config is not None
+    assert shown[:3] == [str(first.number), first.settings_name, str(first.config.seed)]
+    assert shown[3] == number(first.cost)
+    assert shown[5] == in_words(first.elapsed_s)
+    choose(app, "Run", f"{first.number}: ")
+    app.driver.click("Look at it")
+    wait_until(lambda: app.state.run.number == first.number, "it is on screen")
+    choose(app, "Compare with", f"{other.number}: ")
+    wait_until(lambda: app.state.compared_with == other.number, "it is compared")
+    window.get_by_text(f"run {other.number}", exact=True).first.wait_for()
+    app.driver.click("Accept")
+    wait_until(lambda: app.state.undo_name == "Refine", "its cameras are taken")
+    for entry, camera in zip(app.state.document.photos, first.cameras, strict=True):
+        assert entry.camera is camera
+    app.driver.click("Undo: Refine")
+    wait_until(lambda: app.state.document is document, "undo takes it back")
 
 
 def test_the_report_swipes_without_a_server_and_loads_nothing(app, chromium, tmp_path):
