@@ -25,8 +25,13 @@ SIDE_PX = 512
 FINE_PX, COARSE_PX = 1.0, 6.0
 """Texture is what lies between these two blurs, in pixels of a photo reduced to 512."""
 
-MIN_CONTRAST = 0.6
-"""Least texture in grey levels of 255 by which photos can be told to agree."""
+MIN_CONTRAST = 1.0
+"""Least texture in grey levels of 255 by which photos can be told to agree.
+
+A made rock in flat light, by its colours alone, from 5.4 px off: without any texture the
+photos' noise measures 0.5; at 0.8 the cameras stay where they were, at 1.2 they come to
+0.7 px, at 4 to 0.3 px. The real and rendered sets of the README measure 3.1 (the head's
+skin) to 35."""
 
 
 @dataclasses.dataclass(frozen=True)
