@@ -385,50 +385,6 @@ def gather_at_vertices(  # noqa: ANN201
     return colours, seen
 
 
-@nb.njit(nogil=True, cache=True)
-def diffuse(indptr, indices, colours, known, n_sweeps):  # noqa: ANN001, ANN201
-    """Fills unknown rows of ``colours`` from their neighbours, in place.
-
-    First outwards from the known, front by front; then ``n_sweeps`` of averaging
-    smooth it, forwards and backwards in turn.
-
-    Args:
-        indptr: (n + 1,) of the neighbourhood in compressed rows.
-        indices: Neighbours, row after row.
-        colours: (n, 3); changed where not known.
-        known: (n,) bool; rows that nothing reaches stay as they are.
-        n_sweeps: How often to average.
-    """
-    order = np.zeros(len(known), dtype=np.int64)
-    reached = known.copy()
-    n = 0
-    for row in range(len(known)):
-        if known[row]:
-            order[n] = row
-            n += 1
-    first, n_known = 0, n
-    while first < n:
-        row = order[first]
-        first += 1
-        for e in range(indptr[row], indptr[row + 1]):
-            other = indices[e]
-            if not reached[other]:
-                reached[other] = True
-                colours[other] = colours[row]
-                order[n] = other
-                n += 1
-    for sweep in range(n_sweeps):
-        for step in range(n_known, n):
-            row = order[step] if sweep % 2 == 0 else order[n - 1 - (step - n_known)]
-            count = indptr[row + 1] - indptr[row]
-            for channel in range(3):
-                total = 0.0
-                for e in range(indptr[row], indptr[row + 1]):
-                    total += colours[indices[e], channel]
-                colours[row, channel] = total / count
-    return reached
-
-
 @nb.njit(nogil=True, cache=True, parallel=True)
 def write_from_vertices(  # noqa: ANN201
     texel,  # noqa: ANN001

@@ -5,12 +5,12 @@ from collections.abc import Generator, Sequence
 
 import cv2
 import numpy as np
-import scipy.sparse
 from jaxtyping import Float, Int, UInt8
 
 from photoreg import texels
 from photoreg.atlas import Atlas, make_atlas
 from photoreg.camera import Camera
+from photoreg.diffusion import spread
 from photoreg.errors import InputError
 from photoreg.mesh import Mesh
 from photoreg.painting import (
@@ -33,7 +33,6 @@ from photoreg.photo import Photo
 GROWN_RINGS = 2
 """Texels beyond a chart's border that are baked like those inside."""
 MIN_SEEN_AT_VERTEX = 0.3
-DIFFUSION_SWEEPS = 200
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -319,17 +318,7 @@ def _fill_unseen(
     known = share >= MIN_SEEN_AT_VERTEX
     if not known.any():
         known = share > 0.0
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    ones = np.ones(2 * len(edges), dtype=np.int8)
-    graph = scipy.sparse.csr_array(
-        (ones, (np.r_[edges[:, 0], edges[:, 1]], np.r_[edges[:, 1], edges[:, 0]])),
-        shape=(n, n),
-    )
-    reached = texels.diffuse(
-        graph.indptr, graph.indices, colours, known, DIFFUSION_SWEEPS
-    )
-    # A part of the mesh that no photo sees at all takes the mean of what is seen.
-    colours[~reached] = colours[known].mean(axis=0)
+    colours = spread(mesh.vertices, faces, colours, known)
     texels.write_from_vertices(
         table.index[~seen],
         table.face[~seen],
