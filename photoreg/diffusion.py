@@ -16,7 +16,7 @@ import numba as nb
 import numpy as np
 import scipy.sparse
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 SWEEPS = 64
 """Of averaging on each level. On a rock of 50,000 vertices, half of them unknown and the
@@ -36,6 +36,19 @@ class _Level:
     """Sum of weight * colour over the known neighbours."""
     firm: Float[np.ndarray, "n"]
     """Sum of these weights."""
+
+    def average(self, colours: Float[np.ndarray, "n 3"], n_sweeps: int) -> None:
+        """Changes ``colours`` towards the solution."""
+        graph = self.graph
+        _average(
+            graph.indptr,
+            graph.indices,
+            graph.data,
+            self.pull,
+            self.firm,
+            colours,
+            n_sweeps,
+        )
 
 
 def spread(
@@ -72,16 +85,16 @@ def spread(
         parents.append(parent)
 
     found = np.tile(colours[known].mean(axis=0), (len(levels[-1].firm), 1))
-    _average(*_arrays(levels[-1]), found, COARSEST_SWEEPS)
+    levels[-1].average(found, COARSEST_SWEEPS)
     for level, parent in zip(levels[-2::-1], parents[::-1], strict=True):
         found = found[parent]
-        _average(*_arrays(level), found, SWEEPS)
+        level.average(found, SWEEPS)
     colours = colours.copy()
     colours[unknown] = found
 
     lost = ~_reached(graph, known) & (graph.indptr[1:] > graph.indptr[:-1])
     if lost.any():
-        nearest = cKDTree(vertices[~lost]).query(vertices[lost])[1]
+        nearest = KDTree(vertices[~lost]).query(vertices[lost])[1]
         colours[lost] = colours[~lost][nearest]
     return colours
 
@@ -103,11 +116,6 @@ def _coarser(level: _Level, parent: Int[np.ndarray, "n"], n: int) -> _Level:
     graph.setdiag(0.0)
     graph.eliminate_zeros()
     return _Level(graph, members.T @ level.pull, members.T @ level.firm)
-
-
-def _arrays(level: _Level) -> tuple[np.ndarray, ...]:
-    graph = level.graph
-    return graph.indptr, graph.indices, graph.data, level.pull, level.firm
 
 
 def _reached(

@@ -28,7 +28,9 @@ def solved(faces, colours, known) -> np.ndarray:
     columns = np.concatenate([faces[:, 1], faces[:, 2], faces[:, 0]])
     # On a closed surface each edge runs once in either direction.
     graph = scipy.sparse.csr_array((np.ones(len(rows)), (rows, columns)), (n, n))
-    laplacian = scipy.sparse.diags_array(graph.sum(axis=1)) - graph
+    laplacian = scipy.sparse.csr_array(
+        scipy.sparse.diags_array(graph.sum(axis=1)) - graph
+    )
     inner = scipy.sparse.csc_array(laplacian[~known][:, ~known])
     pull = graph[~known][:, known] @ colours[known]
     exact = colours.copy()
