@@ -32,6 +32,7 @@ class Baker:
 
     def __init__(self) -> None:
         self._mesh: Mesh | None = None
+        self._keep_uv = True
         self._atlas: Atlas | None = None
         self._textured: TexturedMesh | None = None
 
@@ -47,10 +48,11 @@ class Baker:
         Whoever stops iterating ends it; the model made before is then still there.
         """
         config = config or TextureConfig()
-        if self._mesh is not mesh or self._atlas is None:
+        made_for = self._mesh, self._keep_uv
+        if self._atlas is None or made_for != (mesh, config.keep_uv):
             yield Working("Unfolding the surface", 0.02)
-            self._atlas = make_atlas(mesh)
-            self._mesh = mesh
+            self._atlas = make_atlas(mesh, config.keep_uv)
+            self._mesh, self._keep_uv = mesh, config.keep_uv
         for step in baking(mesh, photos, cameras, config, self._atlas):
             if isinstance(step, BakingStep):
                 yield Working(step.title, step.fraction)
@@ -89,7 +91,7 @@ def _texture(
         "own": "in the model's own colours",
     }[config.unseen]
     summary = (
-        f"Texture of {width} × {height} px. The photos cover "
+        f"Texture of {width} × {height} px, {textured.layout_in_words}. The photos cover "
         f"{100 * textured.seen_share:.0f} % of the surface; the rest is {filled}."
     )
     coverage = tuple(

@@ -28,6 +28,10 @@ MODES = {
     "blend": Option("Blend", "Photos pass into each other, so that no seam shows."),
     "best": Option("Best view", "Each spot from its best photo alone; seams may show."),
 }
+LAYOUTS = {
+    "own": Option("Its own", "The layout that the model came with, kept as it is."),
+    "new": Option("New", "The surface is cut into charts and laid out afresh."),
+}
 PICTURES = {
     "png": Option("PNG", "The picture exactly as it was made."),
     "jpeg": Option("JPEG", "Several times smaller, at hardly any loss."),
@@ -72,6 +76,9 @@ class ExportPanel:
         gui.add_markdown("The photos as one texture on the mesh.")
         self._size = Choice(gui, bus, "Size", SIZES, configure("size", _size))
         self._mode = Choice(gui, bus, "Photos", MODES, configure("mode"))
+        self._layout = Choice(
+            gui, bus, "Layout", LAYOUTS, configure("keep_uv", "own".__eq__)
+        )
         self._unseen = Choice(gui, bus, "Unseen", {}, configure("unseen"))
         self._colour = gui.add_rgb("Colour", (128, 128, 128), visible=False)
         self._bake = gui.add_button("Make the texture", icon=viser.Icon.BRUSH)
@@ -145,6 +152,11 @@ class ExportPanel:
         usable = state.document.mesh is not None and bool(state.document.used)
         self._size.show(str(config.size))
         self._mode.show(config.mode)
+        mesh = state.document.mesh
+        self._layout.show(
+            "own" if config.keep_uv else "new",
+            visible=mesh is not None and mesh.corner_uv is not None,
+        )
         self._unseen.show(config.unseen, options=_unseen_options(state))
         put(self._colour, "visible", config.unseen == "colour")
         put_value(self._colour, config.unseen_colour)

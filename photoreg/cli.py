@@ -270,7 +270,7 @@ def texture_command(
     _log.print(
         f"{textured.seen_share:.0%} of the surface is seen by a photo "
         f"({_shares(pictures, textured)}). Texture "
-        f"{width}x{height}, {elapsed_s:.1f} s. "
+        f"{width}x{height}, {textured.layout_in_words}, {elapsed_s:.1f} s. "
         f"Written: {', '.join(str(path) for path in written)}."
     )
     if json:
@@ -278,6 +278,7 @@ def texture_command(
             {
                 "files": [str(path) for path in written],
                 "texture": [width, height],
+                "own_uv": textured.atlas.is_own,
                 "seen_share": textured.seen_share,
                 "seen_share_by_photo": dict(
                     zip(

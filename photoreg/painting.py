@@ -4,23 +4,25 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Literal, get_args
 
-import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+import scipy.sparse
+from jaxtyping import Bool, Float, Int
 
 from photoreg import texels
 from photoreg.camera import Camera
 from photoreg.errors import InputError
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
+from photoreg.photo_use import PreparedPhoto, prepare_photo
 from photoreg.raster import render_geometry
 
 MIN_SIZE, MAX_SIZE = 64, 8192
-EDGE_JUMP_PX = 5.0
-"""A step in depth of less than so many pixels hides nothing that a photo registered
-to a pixel would show otherwise; rough surfaces are full of such steps."""
 RAY_TOLERANCE = 1e-4
 """How far behind what hides it a texel may lie, relative to the mesh's diagonal."""
+BUMP = 0.005
+"""Size of the roughness that is smoothed before angles are judged, relative to the
+mesh's diagonal."""
+SMOOTHINGS = 8
 TEXELS_AT_A_TIME = 2_000_000
 """Bounds the memory."""
 EXPOSURE_SIDE_PX = 1024
@@ -51,7 +53,8 @@ class TextureConfig:
     even_exposure: bool = True
     """Multiply each photo's channels so that photos agree where both see."""
     keep_uv: bool = True
-    """Use the mesh's own texture coordinates where they are valid."""
+    """Keep the mesh's own texture coordinates, if it has any that can hold a texture;
+    else it is laid out anew."""
     max_angle_deg: float = 78.0
     """Surface seen at a flatter angle from its normal is not painted, in (0, 90)."""
     margin: float = 0.003
@@ -89,22 +92,6 @@ class TextureConfig:
             value = getattr(self, name)
             if not 0.0 <= value <= 0.5:
                 raise InputError(f"{name} is {value}; give a share in [0, 0.5].")
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class PreparedPhoto:
-    """A photo ready to be sampled."""
-
-    camera: Camera
-    """Its camera, for the size of these pixels."""
-    pixels: UInt8[np.ndarray, "h w 3"]
-    """The photo."""
-    depth: Float[np.ndarray, "h w"]
-    """Depth of the surface at each pixel, float32; infinity where there is none."""
-    clearance: UInt8[np.ndarray, "h w"]
-    """0 too near to an edge, the border or the mask's end to be used, 255 far off."""
-    low: Float[np.ndarray, "hl wl 3"]
-    """The photo blurred, on a coarse grid, float32."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -163,7 +150,7 @@ class TexelSums:
 def outward_normals(
     mesh: Mesh, cameras: Sequence[Camera]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Vertex and face normals that look outwards, also where the file's look inwards.
+    """Smooth normals of vertices, and face normals, that look outwards.
 
     Cameras see an object from outside: the side most of what they see has.
     """
@@ -175,7 +162,30 @@ def outward_normals(
         facing = (mesh.face_normals[face] * view).sum(axis=1)
         votes += int((facing > 0).sum()) - int((facing < 0).sum())
     sign = -1.0 if votes < 0 else 1.0
-    return sign * mesh.vertex_normals, sign * mesh.face_normals
+    return sign * _smooth_normals(mesh), sign * mesh.face_normals
+
+
+def _smooth_normals(mesh: Mesh) -> Float[np.ndarray, "k 3"]:
+    """Normals of vertices without the mesh's roughness.
+
+    Scanned surfaces are rough; seen flat, every bump of the ground would change from
+    painted to unpainted and back. Only vertices nearer than a bump have a say, so the
+    edges of a coarse mesh stay as they are.
+    """
+    corners = mesh.position_index[mesh.faces]
+    edges = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+    length = np.linalg.norm(
+        mesh.vertices[edges[:, 0]] - mesh.vertices[edges[:, 1]], axis=1
+    )
+    weight = np.exp(-((length / (BUMP * mesh.diagonal)) ** 2))
+    n = len(mesh.vertices)
+    ties = scipy.sparse.csr_array((weight, (edges[:, 0], edges[:, 1])), shape=(n, n))
+    ties = scipy.sparse.csr_array(ties + ties.T)
+    normals = mesh.vertex_normals[mesh.position_index]
+    for _ in range(SMOOTHINGS):
+        normals = normals + ties @ normals
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return normals[mesh.position_index]
 
 
 def fitted_photo(photo: Photo, camera: Camera, mesh: Mesh, table: TexelTable) -> Photo:
@@ -187,55 +197,6 @@ def fitted_photo(photo: Photo, camera: Camera, mesh: Mesh, table: TexelTable) ->
     if excess < 1.5:
         return photo
     return photo.resized(max(16, int(max(photo.width, photo.height) / excess)))
-
-
-def prepare_photo(
-    mesh: Mesh, photo: Photo, camera: Camera, config: TextureConfig
-) -> PreparedPhoto:
-    """Finds where a photo may be used: on the mesh, off its edges, in its mask."""
-    camera = camera.resized(photo.width, photo.height)
-    buffer = render_geometry(mesh, camera)
-    edges = texels.photo_edges(
-        buffer.depth,
-        buffer.face_index,
-        mesh.face_normals,
-        np.linalg.inv(camera.K).T @ camera.R_cam_world,
-        camera.focal_px,
-        EDGE_JUMP_PX,
-    )
-    usable = (~edges).astype(np.uint8)
-    if photo.mask is not None:
-        usable[~photo.mask] = 0
-    side = max(photo.width, photo.height)
-    # A frame of zeros: the photo's border is an edge too.
-    framed = cv2.copyMakeBorder(usable, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
-    distance = cv2.distanceTransform(framed, cv2.DIST_L2, 3)[1:-1, 1:-1]
-    margin = max(2.0, config.margin * side)
-    feather = max(1.0, config.feather * side)
-    clearance = np.clip((distance - margin) * (254.0 / feather) + 1.0, 0.0, 255.0)
-    clearance[distance < margin] = 0.0
-    return PreparedPhoto(
-        camera,
-        photo.pixels,
-        buffer.depth,
-        clearance.astype(np.uint8),
-        _low_band(photo.pixels, distance >= margin, side),
-    )
-
-
-def _low_band(pixels: np.ndarray, usable: np.ndarray, side: int) -> np.ndarray:
-    """The photo blurred by about 1 % of its side, inside what is usable only."""
-    sigma = 0.012 * side
-    step = max(1, int(sigma / 3.0))
-    height, width = pixels.shape[:2]
-    size = (max(2, width // step), max(2, height // step))
-    cover = cv2.resize(usable.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    inside = cv2.copyTo(pixels, usable.astype(np.uint8))
-    # The fraction of a level that bytes lose here is far below what is visible.
-    sums = cv2.resize(inside, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-    cover = cv2.GaussianBlur(cover, (0, 0), sigma / step)
-    sums = cv2.GaussianBlur(sums, (0, 0), sigma / step)
-    return (sums / np.maximum(cover, 1e-6)[:, :, None]).astype(np.float32)
 
 
 def add_photo(
@@ -320,7 +281,9 @@ def log_colours(
 ) -> Float[np.ndarray, "n 3"]:
     """Logarithm of the colours that a photo, reduced, sees; NaN where it does not."""
     sums = TexelSums.zero(len(table.index))
-    prepared = prepare_photo(mesh, photo.resized(EXPOSURE_SIDE_PX), camera, config)
+    prepared = prepare_photo(
+        mesh, photo.resized(EXPOSURE_SIDE_PX), camera, config.margin, config.feather
+    )
     add_photo(mesh, normals, prepared, np.ones(3), 0, table, config, sums)
     colours = np.full((len(table.index), 3), np.nan, dtype=np.float32)
     seen = sums.photo >= 0

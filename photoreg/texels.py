@@ -125,6 +125,21 @@ def photo_edges(depth, face_index, face_normals, N, focal_px, tolerance_px):  # 
 
 
 @nb.njit(nogil=True, cache=True, parallel=True)
+def clearance_of(distance, margin_px, feather_px):  # noqa: ANN001, ANN201
+    """Clearance (h, w) uint8 of distances from edges: 0 within the margin, then rising."""
+    height, width = distance.shape
+    clearance = np.zeros((height, width), dtype=np.uint8)
+    for y in nb.prange(height):
+        for x in range(width):
+            beyond = distance[y, x] - margin_px
+            if beyond >= 0.0:
+                clearance[y, x] = np.uint8(
+                    min(beyond * (254.0 / feather_px) + 1.0, 255.0)
+                )
+    return clearance
+
+
+@nb.njit(nogil=True, cache=True, parallel=True)
 def points_at(  # noqa: ANN201
     texel,  # noqa: ANN001
     texel_face,  # noqa: ANN001
@@ -193,9 +208,18 @@ def weigh(  # noqa: ANN201
     quality = np.zeros(len(texel), dtype=np.float32)
     for t in nb.prange(len(texel)):
         face = texel_face[t]
+        i, j, k = faces[face, 0], faces[face, 1], faces[face, 2]
+        nx = face_normals[face, 0]
+        ny = face_normals[face, 1]
+        nz = face_normals[face, 2]
+        # Distance of the camera from the face's plane: behind it, nothing is seen.
+        offset = nx * (center[0] - vertices[i, 0])
+        offset += ny * (center[1] - vertices[i, 1])
+        offset += nz * (center[2] - vertices[i, 2])
+        if offset <= 0.0:
+            continue
         x, y = texel[t] % width, texel[t] // width
         a, b, c = _barycentric(corners_px[face], x, y)
-        i, j, k = faces[face, 0], faces[face, 1], faces[face, 2]
         px, py, pz = _surface_point(vertices, faces[face], a, b, c)
         u, v, z = _projected(P, px, py, pz)
         if not (0.0 <= u <= width_px - 1 and 0.0 <= v <= height_px - 1):
@@ -206,10 +230,6 @@ def weigh(  # noqa: ANN201
             continue
         sx, sy, sz = center[0] - px, center[1] - py, center[2] - pz
         distance = np.sqrt(sx * sx + sy * sy + sz * sz)
-        nx = face_normals[face, 0]
-        ny = face_normals[face, 1]
-        nz = face_normals[face, 2]
-        offset = nx * sx + ny * sy + nz * sz
         face_cosine = offset / distance
         if face_cosine < MIN_FACING:
             continue

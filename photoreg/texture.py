@@ -26,13 +26,16 @@ from photoreg.painting import (
     fitted_photo,
     log_colours,
     outward_normals,
-    prepare_photo,
 )
 from photoreg.photo import Photo
+from photoreg.photo_use import prepare_photo
 
 GROWN_RINGS = 2
 """Texels beyond a chart's border that are baked like those inside."""
 MIN_SEEN_AT_VERTEX = 0.3
+TEXELS_A_PIXEL = 1.25
+"""Along a line, of the automatic size: charts stretch the surface here and press it
+there, and a texel for a pixel blurs what it samples."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -55,6 +58,8 @@ class TexturedMesh:
     """Share of the area for which each photo is the one that counts most."""
     gains: Float[np.ndarray, "n 3"]
     """By which each photo's channels were multiplied to even out exposure."""
+    config: TextureConfig
+    """How it was made."""
 
     @property
     def vertices(self) -> Float[np.ndarray, "k 3"]:
@@ -70,6 +75,15 @@ class TexturedMesh:
     def corner_uv(self) -> Float[np.ndarray, "m 3 2"]:
         """Texture coordinates of each face's corners, v upwards."""
         return self.atlas.uv[self.atlas.uv_faces]
+
+    @property
+    def layout_in_words(self) -> str:
+        """Whose texture coordinates these are, and why not the mesh's own."""
+        if self.atlas.is_own:
+            return "laid out as the mesh's own"
+        if self.mesh.corner_uv is None or not self.config.keep_uv:
+            return "laid out anew"
+        return "laid out anew, as the mesh's own layout overlaps or leaves the picture"
 
     @property
     def coverage_colours(self) -> tuple[tuple[int, int, int], ...]:
@@ -167,9 +181,8 @@ def baking(
     sums = TexelSums.zero(len(table.index))
     for i, (photo, camera) in enumerate(zip(photos, cameras, strict=True)):
         yield BakingStep(f"Painting {photo.name}", 0.4 + 0.45 * i / n)
-        prepared = prepare_photo(
-            mesh, fitted_photo(photo, camera, mesh, table), camera, config
-        )
+        fitted = fitted_photo(photo, camera, mesh, table)
+        prepared = prepare_photo(mesh, fitted, camera, config.margin, config.feather)
         add_photo(mesh, normals, prepared, gains[i], i, table, config, sums)
 
     yield BakingStep("Filling what no photo sees", 0.85)
@@ -196,6 +209,7 @@ def baking(
         float(shares.sum()),
         tuple(float(share) for share in shares),
         gains,
+        config,
     )
 
 
@@ -282,7 +296,8 @@ def _texture_size(
 ) -> tuple[int, int]:
     longer = config.size
     if longer == "auto":
-        n_texels = mesh.area * pixels_per_unit**2 / max(_uv_area(atlas), 1e-6)
+        n_texels = mesh.area * (TEXELS_A_PIXEL * pixels_per_unit) ** 2
+        n_texels /= max(_uv_area(atlas), 1e-6)
         side = np.sqrt(n_texels * max(atlas.aspect, 1.0 / atlas.aspect))
         longer = int(np.clip(64 * np.ceil(side / 64), 256, MAX_SIZE))
     shorter = longer * min(atlas.aspect, 1.0 / atlas.aspect)

@@ -1,5 +1,6 @@
 """The textured model as the worker makes it for download and preview."""
 
+import dataclasses
 import io
 import zipfile
 from typing import Any
@@ -12,6 +13,7 @@ from app.baking import Baker
 from app.messages import Baked, Working
 from app.state import ModelChoice, Texture
 from app.warm_up import toy_scene
+from photoreg.atlas import make_atlas
 from photoreg.errors import InputError
 from photoreg.texture import TextureConfig
 
@@ -90,6 +92,18 @@ def test_baking_that_is_left_keeps_the_model_from_before(baked):
     assert isinstance(next(steps), Working)
     steps.close()
     assert baker.pack(ModelChoice("glb")).content == before
+
+
+def test_the_model_s_own_layout_is_kept_by_choice():
+    mesh, photos, cameras = toy_scene()
+    own = make_atlas(mesh)
+    laid_out = dataclasses.replace(mesh, corner_uv=own.uv[own.uv_faces])
+    baker = Baker()
+    for keep, words in ((True, "laid out as the mesh's own"), (False, "laid out anew")):
+        config = TextureConfig(size=256, keep_uv=keep)
+        *_, made = baker.bake(laid_out, photos, cameras, config)
+        assert isinstance(made, Baked)
+        assert words in made.texture.summary
 
 
 def test_the_shares_of_the_photos_are_told_with_colours_that_differ(baked):

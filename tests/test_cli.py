@@ -17,6 +17,7 @@ from PIL import Image
 from photoreg.cli import commands, run
 from photoreg.evaluate import projection_error
 from photoreg.formats.cameras_json import CameraFile, load_cameras, save_cameras
+from photoreg.mesh import load_mesh
 from tests.scenes import small_scene
 
 
@@ -88,6 +89,20 @@ def test_refine_evaluate_texture_is_the_whole_way(folder, tmp_path, capsys):
     uv = np.asarray(loaded.visual.uv)
     assert uv.min() >= 0.0
     assert uv.max() <= 1.0
+
+    # Once more onto the model, which now has a layout: it is kept, or not, by choice.
+    words[1] = str(model)
+    again, anew = tmp_path / "again.obj", tmp_path / "anew.obj"
+    capsys.readouterr()
+    assert run([*words, "--out", str(again)]) == 0
+    assert "laid out as the mesh's own" in capsys.readouterr().err.replace("\n", " ")
+    assert run([*words, "--out", str(anew), "--no-keep-uv", "--json"]) == 0
+    assert not json.loads(capsys.readouterr().out)["own_uv"]
+    kept, other = load_mesh(again).corner_uv, load_mesh(anew).corner_uv
+    np.testing.assert_array_equal(kept, load_mesh(model).corner_uv)
+    assert kept is not None
+    assert other is not None
+    assert kept.shape == other.shape
 
 
 def test_what_is_locked_or_shared_is_so_in_the_file(folder, tmp_path, capsys):

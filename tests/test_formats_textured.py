@@ -27,16 +27,7 @@ def textured() -> TexturedMesh:
 
 def moved(textured: TexturedMesh, offset: np.ndarray) -> TexturedMesh:
     mesh = Mesh(textured.vertices + offset, textured.faces)
-    return TexturedMesh(
-        mesh,
-        textured.atlas,
-        textured.texture,
-        textured.photo_index,
-        textured.quality,
-        textured.seen_share,
-        textured.seen_share_by_photo,
-        textured.gains,
-    )
+    return dataclasses.replace(textured, mesh=mesh)
 
 
 def read(path: Path) -> Any:

@@ -122,6 +122,18 @@ def test_the_backdrop_never_bleeds_into_the_texture(textured):
     assert nearest > 100, nearest
 
 
+def test_background_over_the_mesh_s_outline_is_not_painted(mesh, photos, cameras):
+    """A mesh that is 3 px fatter than what was photographed."""
+    moved = mesh.vertices + 0.02 * mesh.vertex_normals
+    fat = dataclasses.replace(mesh, vertices=moved)
+    textured = bake_texture(fat, photos, cameras)
+    painted = textured.texture[textured.photo_index >= 0].astype(int)
+    # Between the surface, whose green is 110 and more, and the backdrop, which has none.
+    assert painted[:, 1].min() > 85, painted[:, 1].min()
+    nearest = np.abs(painted - BACKDROP).max(axis=1).min()
+    assert nearest > 85, nearest
+
+
 def test_seen_shares_are_shares_of_the_area(mesh, cameras, textured):
     points, face, on_chart = texel_points(textured)
     counts = np.bincount(face, minlength=len(mesh.faces))
