@@ -4,7 +4,7 @@ import dataclasses
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from photoreg import texels
 from photoreg.camera import Camera
@@ -112,16 +112,21 @@ def spilt_background(
     reach_px = max(3.0, SPILL_REACH * max(size))
     depth_in = cv2.distanceTransform(on, cv2.DIST_L2, 3)
     depth_out = cv2.distanceTransform(1 - on, cv2.DIST_L2, 3)
-    within = _local_colours(small, depth_in > reach_px, 2.0 * reach_px)
-    outside = _local_colours(small, depth_out > 2.0, 2.0 * reach_px)
-    gap = ((within.mean - outside.mean) ** 2).sum(axis=2)
+    y, x = np.nonzero((on > 0) & (depth_in <= reach_px))
+    within = _nearby(small, depth_in > reach_px, x, y, 2.0 * reach_px)
+    outside = _nearby(small, depth_out > 2.0, x, y, 2.0 * reach_px)
+    gap = ((within.mean - outside.mean) ** 2).sum(axis=1)
     is_distinct = gap > SPILL_CONTRAST**2 * (within.variance + outside.variance)
     is_known = (within.weight > 1e-3) & (outside.weight > 1e-3)
-    asked = (on > 0) & (depth_in <= reach_px) & is_known & is_distinct
-    spilt = asked & (outside.misfit(small) < within.misfit(small))
+    asked = small[y, x]
+    is_spilt = is_known & is_distinct & (outside.misfit(asked) < within.misfit(asked))
+    spilt = np.zeros(on.shape, dtype=bool)
+    spilt[y[is_spilt], x[is_spilt]] = True
     # What is like the background but apart from it is a spot on the object.
     labels = cv2.connectedComponents((spilt | (on == 0)).astype(np.uint8))[1]
-    spilt &= np.isin(labels, np.unique(labels[on == 0]))
+    is_outside = np.zeros(labels.max() + 1, dtype=bool)
+    is_outside[labels[on == 0]] = True
+    spilt &= is_outside[labels]
     whole = cv2.resize(
         spilt.view(np.uint8), covered.shape[::-1], interpolation=cv2.INTER_NEAREST
     )
@@ -129,41 +134,49 @@ def spilt_background(
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _LocalColours:
-    """Mean and spread of a region's colours around each pixel."""
+class _Nearby:
+    """Mean and spread of a region's colours around each of some pixels."""
 
-    mean: Float[np.ndarray, "h w 3"]
-    variance: Float[np.ndarray, "h w"]
+    mean: Float[np.ndarray, "n 3"]
+    variance: Float[np.ndarray, "n"]
     """Of a channel."""
-    weight: Float[np.ndarray, "h w"]
+    weight: Float[np.ndarray, "n"]
     """Share of the region in the neighbourhood."""
 
-    def misfit(self, pixels: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w"]:
-        """How unlikely the colours of ``pixels`` are there: -log of a normal density."""
-        squares = ((pixels - self.mean) ** 2).sum(axis=2)
+    def misfit(self, colours: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+        """How unlikely the colours are there: -log of a normal density."""
+        squares = ((colours - self.mean) ** 2).sum(axis=1)
         return 0.5 * squares / self.variance + 1.5 * np.log(self.variance)
 
 
-def _local_colours(
-    pixels: Float[np.ndarray, "h w 3"], region: Bool[np.ndarray, "h w"], sigma_px: float
-) -> _LocalColours:
-    share = region.astype(np.float32)
-    sums = np.dstack([share[:, :, None] * pixels, share * (pixels**2).sum(axis=2)])
+def _nearby(
+    pixels: Float[np.ndarray, "h w 3"],
+    region: Bool[np.ndarray, "h w"],
+    x: Int[np.ndarray, "n"],
+    y: Int[np.ndarray, "n"],
+    sigma_px: float,
+) -> _Nearby:
     # On a coarse grid: so wide a blur has nothing finer to tell.
     step = max(1, int(sigma_px / 3.0))
     height, width = region.shape
     size = (max(1, width // step), max(1, height // step))
-
-    def blurred(values: np.ndarray) -> np.ndarray:
-        coarse = cv2.resize(values, size, interpolation=cv2.INTER_AREA)
-        coarse = cv2.GaussianBlur(coarse, (0, 0), sigma_px / step)
-        return cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR)
-
-    weight = blurred(share)
-    means = blurred(sums) / np.maximum(weight, 1e-6)[:, :, None]
-    mean = means[:, :, :3]
-    variance = (means[:, :, 3] - (mean**2).sum(axis=2)) / 3.0
-    return _LocalColours(mean, np.maximum(variance, 0.0) + NOISE**2, weight)
+    share = region.astype(np.float32)
+    shown = cv2.copyTo(pixels, region.view(np.uint8))
+    maps = np.dstack(
+        [
+            cv2.resize(values, size, interpolation=cv2.INTER_AREA)
+            for values in (share, shown, np.einsum("hwc,hwc->hw", shown, shown))
+        ]
+    )
+    maps = cv2.GaussianBlur(maps, (0, 0), sigma_px / step)
+    column = ((x + 0.5) * (size[0] / width)).astype(int)
+    row = ((y + 0.5) * (size[1] / height)).astype(int)
+    found = maps[np.minimum(row, size[1] - 1), np.minimum(column, size[0] - 1)]
+    weight = found[:, 0]
+    means = found[:, 1:] / np.maximum(weight, 1e-6)[:, None]
+    mean = means[:, :3]
+    variance = (means[:, 3] - (mean**2).sum(axis=1)) / 3.0
+    return _Nearby(mean, np.maximum(variance, 0.0) + NOISE**2, weight)
 
 
 def _low_band(

@@ -332,9 +332,33 @@ def add_photo(  # noqa: ANN201
 
 
 @nb.njit(nogil=True, cache=True, parallel=True)
-def write_texels(texel, sums, texture):  # noqa: ANN001, ANN201
-    """Writes the blended colour of each seen texel into the flat (h * w, 3) texture."""
+def write_texels(  # noqa: ANN201
+    texel,  # noqa: ANN001
+    inside,  # noqa: ANN001
+    sums,  # noqa: ANN001
+    best_photo,  # noqa: ANN001
+    best_quality,  # noqa: ANN001
+    texture,  # noqa: ANN001
+    photo_index,  # noqa: ANN001
+    quality,  # noqa: ANN001
+):
+    """Writes what the photos say of each texel into the pictures, which are flat.
+
+    Args:
+        texel: (n,) flat index of each texel.
+        inside: (n,) whether its centre lies in its face.
+        sums: (n, 8) as of `add_photo`.
+        best_photo: (n,) the photo that counts most; -1: none sees it.
+        best_quality: (n,) how well that photo sees it, in [0, 1].
+        texture: (h * w, 3) uint8; changed where a photo sees the texel.
+        photo_index: (h * w,) int16; changed where the texel is inside.
+        quality: (h * w,) uint8; changed where it is inside and seen.
+    """
     for t in nb.prange(len(texel)):
+        if inside[t]:
+            photo_index[texel[t]] = best_photo[t]
+            if best_photo[t] >= 0:
+                quality[texel[t]] = np.uint8(255.0 * best_quality[t] + 0.5)
         if sums[t, 0] > 0.0:
             for channel in range(3):
                 value = sums[t, 1 + channel] / sums[t, 0]
@@ -342,7 +366,27 @@ def write_texels(texel, sums, texture):  # noqa: ANN001, ANN201
                 texture[texel[t], channel] = np.uint8(min(max(value + 0.5, 0.0), 255.0))
 
 
-@nb.njit(nogil=True, cache=True)
+@nb.njit(nogil=True, cache=True, parallel=True)
+def fill_gutter(labels, texel, is_on_chart, texture):  # noqa: ANN001, ANN201
+    """Gives each texel off the charts the colour of the nearest on them.
+
+    Args:
+        labels: (h * w,) int32; texels whose nearest is the same have the same, and the
+            nearest itself has it too, alone of those on charts.
+        texel: (n,) the texels on charts.
+        is_on_chart: (h * w,) bool, where they are.
+        texture: (h * w, 3) uint8; changed off the charts.
+    """
+    nearest = np.zeros(labels.max() + 1, dtype=np.int64)
+    for t in range(len(texel)):
+        nearest[labels[texel[t]]] = texel[t]
+    for i in nb.prange(len(labels)):
+        if not is_on_chart[i]:
+            for channel in range(3):
+                texture[i, channel] = texture[nearest[labels[i]], channel]
+
+
+@nb.njit(nogil=True, cache=True, parallel=True)
 def grow_faces(face_at_texel):  # noqa: ANN001, ANN201
     """Gives each empty texel beside a chart the face of a neighbour.
 
@@ -351,7 +395,7 @@ def grow_faces(face_at_texel):  # noqa: ANN001, ANN201
     """
     height, width = face_at_texel.shape
     grown = face_at_texel.copy()
-    for y in range(height):
+    for y in nb.prange(height):
         for x in range(width):
             if face_at_texel[y, x] >= 0:
                 continue

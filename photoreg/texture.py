@@ -188,17 +188,23 @@ def baking(
     yield BakingStep("Filling what no photo sees", 0.85)
     texture = np.zeros((height * width, 3), dtype=np.uint8)
     texture[:] = config.unseen_colour
-    texels.write_texels(table.index, sums.colours, texture)
+    photo_index = np.full(height * width, -2, dtype=np.int16)
+    quality = np.zeros(height * width, dtype=np.uint8)
+    texels.write_texels(
+        table.index,
+        table.inside,
+        sums.colours,
+        sums.photo,
+        sums.quality,
+        texture,
+        photo_index,
+        quality,
+    )
     seen = sums.photo >= 0
     if config.unseen == "own":
         _keep_own_colours(mesh, table, seen, texture)
     elif config.unseen == "diffuse" and seen.any() and not seen.all():
         _fill_unseen(mesh, table, seen, texture)
-    photo_index = np.full(height * width, -2, dtype=np.int16)
-    photo_index[table.index[table.inside]] = sums.photo[table.inside]
-    quality = np.zeros(height * width, dtype=np.uint8)
-    quality[table.index] = np.rint(255.0 * sums.quality)
-    quality[photo_index < 0] = 0
     shares = _area_shares(mesh, table, sums.photo, n)
     yield TexturedMesh(
         mesh,
@@ -373,10 +379,10 @@ def _with_gutter(
     labels = cv2.distanceTransformWithLabels(
         empty, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
     )[1]
-    flat = np.asarray(labels, dtype=np.int32).reshape(-1)
-    texel_of_label = np.zeros(int(flat.max()) + 1, dtype=np.int64)
-    texel_of_label[flat[table.index]] = table.index
-    gutter = np.flatnonzero(empty)
-    rows = texture.reshape(-1, 3)
-    rows[gutter] = rows[texel_of_label[flat[gutter]]]
+    texels.fill_gutter(
+        np.asarray(labels, dtype=np.int32).ravel(),
+        table.index,
+        empty.ravel() == 0,
+        texture.reshape(-1, 3),
+    )
     return texture
