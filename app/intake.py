@@ -53,6 +53,7 @@ class Batch:
         """The state with what was read; what does not fit is a problem."""
         if self.begins_anew and any(isinstance(e, MeshLoaded) for e in self.loaded):
             state = dataclasses.replace(state, document=Document(), selected=0)
+        n_before = len(state.document.photos)
         for event in self.loaded:
             try:
                 match event:
@@ -64,6 +65,12 @@ class Batch:
                         state = outcomes.with_loaded_cameras(state, event)
             except PhotoregError as error:
                 self.problems.append(str(error))
+        if len(state.document.photos) > n_before:
+            # Where the work begins: the first of the new photos.
+            state = dataclasses.replace(state, selected=n_before)
+        if len(self.loaded) > 1:
+            note = f"{len(self.loaded)} files are open."
+            state = dataclasses.replace(state, note=note)
         return state
 
 

@@ -16,6 +16,7 @@ from app.points import index_of_photo
 from app.session import select, setting
 from app.state import PhotoEntry, State
 from app.uploads import too_large
+from app.widgets import help_line
 from photoreg.formats.camera_search import CAMERA_SUFFIXES
 from photoreg.limits import Limits
 
@@ -37,7 +38,12 @@ class DataPanel:
         self._open = gui.add_html("")
         with gui.add_folder("Demo and page", expand_by_default=False):
             self._demo = gui.add_button("Open the demo", icon=viser.Icon.SPARKLES)
-            self._dark = gui.add_checkbox("Dark page", True)
+            gui.add_html(
+                help_line("A shell and two photos of it, to try all this with.")
+            )
+            self._dark = gui.add_checkbox(
+                "Dark page", True, hint="Dark or light colours, in every window."
+            )
 
         bus.on("select", lambda values, _: self._select(str(values["photo"])))
         bus.on("rename", self._on_rename)
@@ -155,7 +161,8 @@ class DataPanel:
                 on=not entry.enabled,
             )
             + f'<button title="Rename {name}" aria-label="Rename {name}" '
-            f'style="{_SMALL}" {"disabled" if busy else ""} onclick="{rename}">✎'
+            f'style="{_SMALL}{_DIM if busy else ""}" {"disabled" if busy else ""} '
+            f'onclick="{rename}">✎'
             "</button>" + _button("✕", f"Remove {name}", busy, "remove", entry)
         )
         return (
@@ -190,7 +197,7 @@ def _button(
 ) -> str:
     return (
         f'<button title="{title}" aria-label="{title}" style="{_SMALL}'
-        f'{";opacity:.35;cursor:default" if disabled else ""}" '
+        f'{_DIM if disabled else ""}" '
         f"{'disabled' if disabled else ''} "
         f'onclick="{sending(act, photo=entry.name, **values)}">{text}</button>'
     )
@@ -200,6 +207,7 @@ _SMALL = (
     "font:inherit;font-size:11px;color:inherit;background:rgba(128,140,155,.2);"
     "border:0;border-radius:4px;padding:1px 6px;cursor:pointer;line-height:1.5"
 )
+_DIM = ";opacity:.35;cursor:default"
 _COLUMN = "display:flex;flex-direction:column;gap:6px;margin:2px 12px 4px"
 _CARD = (
     "display:flex;gap:10px;align-items:center;padding:6px 8px;border-radius:6px;"

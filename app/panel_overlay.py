@@ -66,7 +66,7 @@ class OverlayPanel:
         self._styles = Choice(
             gui,
             bus,
-            "As",
+            "Style",
             PHOTO_STYLES,
             lambda _, value: session.change(None, setting(overlay_style=value)),
         )
@@ -75,7 +75,15 @@ class OverlayPanel:
             False,
             hint="The start left of a line, now right of it.",
         )
-        self._line = gui.add_slider("Line", 0.0, 1.0, 0.01, 0.5, visible=False)
+        self._line = gui.add_slider(
+            "Line",
+            0.0,
+            1.0,
+            0.01,
+            0.5,
+            hint="Where the start ends and the cameras of now begin.",
+            visible=False,
+        )
         self._surface = gui.add_dropdown(
             "Object shows",
             tuple(SURFACES),
@@ -126,12 +134,12 @@ class OverlayPanel:
         surface = next(name for name, s in SURFACES.items() if s == state.surface)
         put(self._surface, "visible", run.status != "idle")
         put_value(self._surface, surface)
-        self._show_picture()
         self._show_comparison(state)
         self._show_curve(run.curve)
 
-    def _show_picture(self) -> None:
+    def _show_picture(self, compared: bool) -> None:
         picture = self._conductor.picture
+        put(self._image, "visible", picture is not None and not compared)
         if picture is not None and picture is not self._shown:
             self._shown = picture
             # The worker has made a JPEG already; the public setter takes pixels and
@@ -143,7 +151,7 @@ class OverlayPanel:
         if state.run.status != "review":
             compared = None
         put(self._comparison, "visible", compared is not None)
-        put(self._image, "visible", compared is None)
+        self._show_picture(compared is not None)
         if compared is None or not compared.photos:
             return
         onto = min(state.overlay_onto, len(compared.photos) - 1)

@@ -21,6 +21,7 @@ from app.pictures import Pictures
 from app.placement import DisplayFrame
 from app.session import select, setting, with_entry
 from app.state import State
+from app.widgets import Tool, Tools
 from photoreg.errors import InputError
 from photoreg.mesh import Mesh
 from photoreg.photo import PHOTO_SUFFIXES
@@ -41,7 +42,11 @@ class PointsPanel:
         """Called when clicks on the model begin or cease to place points in a browser."""
         self._gesture = itertools.count()
         self._pull: tuple[str, int] = ("pull", -1)
-        self._choice = gui.add_dropdown("Photo", photo_options(session.state))
+        self._choice = gui.add_dropdown(
+            "Photo",
+            photo_options(session.state),
+            hint="Whose points are clicked. The keys 1 to 9 choose it, too.",
+        )
         gui.add_html(
             f'<div style="margin:2px 10px 4px">{mounted("picker")}<div></div></div>'
         )
@@ -55,18 +60,7 @@ class PointsPanel:
             "Solve", icon=viser.Icon.TARGET_ARROW, disabled=True
         )
         self._table = gui.add_html("")
-        self._copy = gui.add_button(
-            "Take the other photo's points on the model",
-            icon=viser.Icon.COPY,
-            color="gray",
-            visible=False,
-        )
-        self._clear = gui.add_button(
-            "Delete all points of this photo",
-            icon=viser.Icon.TRASH,
-            color="gray",
-            visible=False,
-        )
+        self._tools = Tools(gui, bus, "", (), lambda _, value: self._use_tool(value))
         self._mask = gui.add_upload_button(
             "Load a mask",
             icon=viser.Icon.CIRCLE_HALF_2,
@@ -112,29 +106,23 @@ class PointsPanel:
             gesture = ("solve", next(self._gesture))
             conductor.solver.place(state.selected_photo.name, step, gesture)
 
-        @self._copy.on_click
-        @guarded
-        def _(_: viser.GuiEvent) -> None:
-            state = session.state
-            entry, other = state.selected_photo, _other_with_points(state)
-            if entry is not None and other is not None:
-                session.change(
-                    f"Take the points of {other}",
-                    points.with_surface_points_of(entry.name, other),
-                )
-
         @self._mask.on_upload
         @guarded_slow
         def _(event: viser.GuiEvent) -> None:
             self._load_mask(event.target.value.name, event.target.value.content)
 
-        @self._clear.on_click
-        @guarded
-        def _(_: viser.GuiEvent) -> None:
-            index = session.state.selected
-            session.change(
-                f"Delete the points of photo {index + 1}", with_entry(index, pairs=())
-            )
+    def _use_tool(self, tool: str) -> None:
+        session = self._session
+        state, index = session.state, session.state.selected
+        entry, other = state.selected_photo, _other_with_points(state)
+        if entry is None:
+            return
+        if tool == "clear":
+            step = f"Delete the points of photo {index + 1}"
+            session.change(step, with_entry(index, pairs=()))
+        elif other is not None:
+            change = points.with_surface_points_of(entry.name, other)
+            session.change(f"Take the points of {other}", change)
 
     # Clicks.
 
@@ -292,8 +280,7 @@ class PointsPanel:
         n_whole = 0 if entry is None else len(entry.whole_pairs)
         put(self._solve, "disabled", n_whole < N_POSE or not idle)
         put(self._mask, "disabled", entry is None or not idle)
-        put(self._clear, "visible", entry is not None and bool(entry.pairs) and idle)
-        put(self._copy, "visible", _other_with_points(state) is not None and idle)
+        self._tools.show(tools(state), visible=entry is not None and idle)
         rows = pair_rows(state)
         put(self._table, "content", table_html(state, rows))
         data: dict[str, Any] = {"photo": None, "pairs": []}
@@ -320,6 +307,27 @@ class PointsPanel:
                 ],
             }
         put(self._state, "content", mounted("picker-state", state=json.dumps(data)))
+
+
+def tools(state: State) -> list[Tool]:
+    """What can be done with all points of the selected photo."""
+    entry = state.selected_photo
+    return [
+        Tool(
+            "copy",
+            "Take the other photo's points on the model; then click them in this one",
+            viser.Icon.COPY,
+            " From other photo",
+            _other_with_points(state) is not None,
+        ),
+        Tool(
+            "clear",
+            "Delete all points of this photo",
+            viser.Icon.TRASH,
+            " Delete all",
+            entry is not None and bool(entry.pairs),
+        ),
+    ]
 
 
 def _other_with_points(state: State) -> str | None:

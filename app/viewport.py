@@ -17,6 +17,7 @@ import viser.transforms as vtf
 
 from app.conductor import Conductor
 from app.controls import guarded, notify
+from app.gizmos import GIZMO_PX
 from app.hands import Hands
 from app.home_view import home_view
 from app.photo_view import PhotoView
@@ -180,7 +181,11 @@ class Viewport:
         """The view from which mesh and cameras are all seen."""
         camera = self.client.camera
         aspect = camera.image_width / max(camera.image_height, 1)
-        position, look_at = home_view(state, self._scene.frame, FREE_FOV, aspect)
+        # On a screen of many pixels an inch the canvas has more of them than this.
+        gizmo_share = GIZMO_PX / max(camera.image_height, 3.0 * GIZMO_PX)
+        position, look_at = home_view(
+            state, self._scene.frame, FREE_FOV, aspect, gizmo_share
+        )
         self._at_home = (position, aspect)
         with self.client.atomic():
             _place(self.client, position, look_at, np.array(state.document.up))

@@ -67,6 +67,7 @@ def test_a_mesh_photos_and_cameras_dropped_together_are_one_new_scene(
 
     wait_until(opened, "photos and cameras are there, and the old photos gone")
     assert app.state.undo_name == "Open 4 files"
+    assert app.state.selected == 0, "the work begins with the first new photo"
     assert app.state.job is None
     mesh = app.state.document.mesh
     assert mesh is not None
