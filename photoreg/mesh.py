@@ -10,7 +10,6 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-import fast_simplification
 import numpy as np
 import trimesh
 from embreex import rtcore_scene
@@ -18,6 +17,7 @@ from embreex.mesh_construction import TriangleMesh
 from jaxtyping import Bool, Float, Int, UInt8
 from PIL import Image
 
+from photoreg import decimation
 from photoreg.checks import check_input_file, check_points
 from photoreg.errors import InputError
 from photoreg.limits import Limits
@@ -265,12 +265,8 @@ class Mesh:
         """A coarser mesh of about ``n_faces`` faces for display; itself if small enough."""
         if len(self.faces) <= n_faces:
             return self
-        vertices, faces = fast_simplification.simplify(
-            # A writable copy: the compiled code refuses a read-only array.
-            self.vertices.copy(),
-            self.position_index[self.faces],
-            target_count=n_faces,
-        )[:2]
+        faces = self.position_index[self.faces]
+        vertices, faces = decimation.decimated(self.vertices, faces, n_faces)
         return Mesh(vertices, faces, name=self.name)
 
     def save(self, path: Path) -> None:

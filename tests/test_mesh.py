@@ -119,6 +119,34 @@ def test_decimated_keeps_the_shape_and_never_adds_faces(sphere):
     assert sphere.decimated(10**6) is sphere
 
 
+@pytest.mark.parametrize("side", [1, 2, 4])
+def test_a_mesh_of_loose_pieces_is_decimated_as_far(side):
+    cracked = loose_pieces(60 // side, side)
+    coarse = cracked.decimated(1000)
+    assert 500 < len(coarse.faces) <= 1100, f"{len(coarse.faces)} faces"
+    assert coarse.area == pytest.approx(cracked.area, rel=0.05)
+    low, high = cracked.bounds
+    assert np.abs(coarse.bounds - [low, high]).max() < 0.05, "all of it is there"
+
+
+def loose_pieces(n: int, side: int) -> Mesh:
+    """A wavy sheet of n x n pieces of side x side squares, a little out of place."""
+    rng, steps = np.random.default_rng(0), np.arange(side + 1)
+    i, j = (part.ravel() for part in np.meshgrid(steps, steps, indexing="ij"))
+    a = (np.arange(side)[:, None] * (side + 1) + np.arange(side)).ravel()
+    below = a + side + 1
+    squares = np.concatenate(
+        [np.column_stack([a, a + 1, below + 1]), np.column_stack([a, below + 1, below])]
+    )
+    vertices, faces = [], []
+    for k in range(n * n):
+        x, y = (k // n + i / side) / n, (k % n + j / side) / n
+        sheet = np.column_stack([x, y, 0.05 * np.sin(9 * x) * np.cos(7 * y)])
+        vertices.append(sheet + 1e-4 * rng.normal(size=3))
+        faces.append(squares + k * len(i))
+    return Mesh(np.concatenate(vertices), np.concatenate(faces))
+
+
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
