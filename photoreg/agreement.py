@@ -10,14 +10,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from photoreg.camera import Camera
+from photoreg.cells import within_cells
 from photoreg.kernels_polish import colours_at
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.photometric import (
     EDGE_MARGIN_PX,
     SurfaceView,
-    cell_means,
-    measure_noise,
+    exposure_gain,
     pair_points,
     prepare_photo,
     surface_views,
@@ -129,15 +129,10 @@ def _reduced(camera: Camera) -> Camera:
 
 def _colour_shares(values: np.ndarray, cell_starts: np.ndarray) -> tuple[float, float]:
     """Over all points, cut off at chance; and of the median cell."""
-    gain = measure_noise(values, cell_starts)[0]
+    gain = exposure_gain(np.nan_to_num(values), cell_starts)
     counts = np.diff(cell_starts)
     pair = np.stack([values[:, 0] * gain, values[:, 1] / gain])
-    inner = np.stack(
-        [
-            part - np.repeat(cell_means(part, cell_starts), counts, axis=0)
-            for part in pair
-        ]
-    )
+    inner = np.stack([within_cells(part, cell_starts) for part in pair])
     # What unrelated colours of this contrast would differ by.
     chance = (inner**2).mean(axis=1).sum(axis=0)
     squared = (inner[0] - inner[1]) ** 2

@@ -314,7 +314,7 @@ def chunk_equations(
     geometry_a,
     geometry_b,
     gain,
-    offset,
+    offsets,
     inverse_sigma,
     cell_precision,
     cut,
@@ -356,7 +356,9 @@ def chunk_equations(
             sample_cubic(photo_a, uv_a[0], uv_a[1], colour)
             for k in range(CHANNELS):
                 scale = gain[k] * inverse_sigma[k]
-                residual[i, k] = colour[k, 0] * scale - offset[k] * inverse_sigma[k]
+                residual[i, k] = (
+                    colour[k, 0] * scale - offsets[first + i, k] * inverse_sigma[k]
+                )
                 slope[i, k, 0] = colour[k, 1] * scale
                 slope[i, k, 1] = colour[k, 2] * scale
             sample_cubic(photo_b, uv_b[0], uv_b[1], colour)
@@ -453,7 +455,7 @@ def pair_normal_equations(
     geometry_a,
     geometry_b,
     gain,
-    offset,
+    offsets,
     inverse_sigma,
     cell_precision,
     cut,
@@ -462,7 +464,7 @@ def pair_normal_equations(
     """Cost and normal equations of one photo pair, one row a chunk of cells.
 
     The residual of a point and channel is
-    (colour in a) gain - (colour in b) / gain - offset - (offset of the point's cell),
+    (colour in a) gain - (colour in b) / gain - (offset of the point) - (of its cell),
     in units of sigma, under the Cauchy cost cut^2 / 2 log(1 + (r / cut)^2). The cell's
     offset is what minimises the cell's cost, with a prior of precision
     ``cell_precision`` around zero; it takes what slow changes of light do.
@@ -485,7 +487,7 @@ def pair_normal_equations(
         geometry_a: camera of photo a.
         geometry_b: camera of photo b.
         gain: (3,) square root of the gain between the photos, a channel.
-        offset: (3,) difference of the photos after the gain, a channel.
+        offsets: (n, 3) difference of the photos after the gain, that of light included.
         inverse_sigma: (3,) inverse residual scale.
         cell_precision: (3,) sigma^2 / tau^2 of the cells' offsets.
         cut: scale of the Cauchy cost, in sigmas.
@@ -512,7 +514,7 @@ def pair_normal_equations(
             geometry_a,
             geometry_b,
             gain,
-            offset,
+            offsets,
             inverse_sigma,
             cell_precision,
             cut,

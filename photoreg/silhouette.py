@@ -17,11 +17,12 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from photoreg.cells import cell_means
 from photoreg.increments import N_INCREMENTS, Increments
 from photoreg.kernels_polish import rim_rows
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
-from photoreg.photometric import SurfaceView, camera_rays, cell_means
+from photoreg.photometric import SurfaceView, camera_rays
 from photoreg.polish import Quadratic, overdispersion, own_step, scatter
 
 CUT = 2.0
@@ -358,7 +359,7 @@ class RimTerm:
         starts, counts = self.cell_starts, np.diff(self.cell_starts)
         precision = self.weight * (self.sigma / self.tau) ** 2
         outline_precision = (self.sigma / self.outline) ** 2
-        segments = cell_means(residual[:, None], starts)[:, 0]
+        segments = cell_means(residual, starts)
         segments *= self.tau**2 / (self.tau**2 + self.sigma**2 / SEGMENT_POINTS)
         outline = 0.0
         for _ in range(6):

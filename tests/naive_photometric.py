@@ -21,7 +21,7 @@ def catmull_rom(photo, u, v):
     return np.einsum("y,x,yxc->c", weights(v - j), weights(u - i), patch)
 
 
-def pair_cost(surface, images, cameras, gain, offset, sigma, precision, cut):
+def pair_cost(surface, images, cameras, gain, offsets, sigma, precision, cut):
     """Cost of a photo pair, a channel: each cell's offset by brute reweighting."""
     costs = np.zeros(3)
     pixels = [
@@ -33,7 +33,7 @@ def pair_cost(surface, images, cameras, gain, offset, sigma, precision, cut):
             (
                 catmull_rom(images[0], *pixels[0][i]) * gain
                 - catmull_rom(images[1], *pixels[1][i]) / gain
-                - offset
+                - offsets[i]
             )
             / sigma
             for i in range(len(surface.points))

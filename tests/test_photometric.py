@@ -86,7 +86,7 @@ def test_cost_equals_its_twin(term_and_x):
         term.images,
         cameras,
         term.gain,
-        term.offset,
+        term.offsets,
         term.sigma,
         np.minimum((term.sigma / np.maximum(term.tau, 1e-9)) ** 2, 1e12),
         CUT,
@@ -133,7 +133,8 @@ def test_measure_noise_finds_exposure_and_noise():
     values = np.stack([truth, 0.8 * truth + 5.0], axis=1)
     values += rng.normal(0.0, 1.0, values.shape)
     values[:, 1] += light
-    gain, _, sigma, tau = measure_noise(values, starts)
+    flat = np.tile([0.0, 0.0, 1.0], (len(values), 1))
+    gain, _, sigma, tau = measure_noise(values, starts, flat)
     root = np.sqrt(0.8)
     assert np.abs(gain - root).max() < 0.005, gain
     expected = np.sqrt(root**2 + 1.0 / root**2)

@@ -93,3 +93,13 @@ def test_overdispersion_is_one_for_independent_and_m_for_repeated_residuals():
         np.repeat(J * r, 4, axis=0), 4.0 * J.T @ J, [np.arange(12000) // 4]
     )
     assert abs(repeated - 4.0) < 0.4, repeated
+
+
+def test_overdispersion_is_what_most_of_the_precision_suffers():
+    rng = np.random.default_rng(1)
+    column = np.arange(4000) % 4
+    J = np.eye(4)[column] * rng.normal(size=(4000, 1))
+    # One direction of four has residuals a thousand times as large in square.
+    r = np.where(column == 3, np.sqrt(1000.0), 1.0) * rng.normal(size=4000)
+    ratio = overdispersion(J * r[:, None], J.T @ J, [np.arange(4000)])
+    assert abs(ratio - 4.0 / 3.0) < 0.1, ratio
