@@ -12,10 +12,12 @@ import numpy as np
 from photoreg.camera import Camera
 from photoreg.cells import within_cells
 from photoreg.kernels_polish import colours_at
+from photoreg.light import fit_light
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.photometric import (
     EDGE_MARGIN_PX,
+    PairPoints,
     SurfaceView,
     exposure_gain,
     pair_points,
@@ -101,9 +103,7 @@ def disagreement(
                 ],
                 axis=1,
             )
-            colours[i, k], typical_colours[i, k] = _colour_shares(
-                values, surface.cell_starts
-            )
+            colours[i, k], typical_colours[i, k] = _colour_shares(values, surface)
     outlines = tuple(
         _outline_share(mesh, photo, view)
         for photo, view in zip(photos, views, strict=True)
@@ -127,15 +127,18 @@ def _reduced(camera: Camera) -> Camera:
     )
 
 
-def _colour_shares(values: np.ndarray, cell_starts: np.ndarray) -> tuple[float, float]:
+def _colour_shares(values: np.ndarray, surface: PairPoints) -> tuple[float, float]:
     """Over all points, cut off at chance; and of the median cell."""
+    cell_starts = surface.cell_starts
     gain = exposure_gain(np.nan_to_num(values), cell_starts)
     counts = np.diff(cell_starts)
     pair = np.stack([values[:, 0] * gain, values[:, 1] / gain])
     inner = np.stack([within_cells(part, cell_starts) for part in pair])
     # What unrelated colours of this contrast would differ by.
     chance = (inner**2).mean(axis=1).sum(axis=0)
-    squared = (inner[0] - inner[1]) ** 2
+    differences = pair[0] - pair[1]
+    differences -= fit_light(differences, surface.light_normals, cell_starts)
+    squared = within_cells(differences, cell_starts) ** 2
     share = np.minimum(squared, 2.0 * chance).mean(axis=0).sum() / max(
         chance.sum(), 1e-12
     )

@@ -243,6 +243,30 @@ def colours_at(photo, pixels):
     return out
 
 
+@nb.njit(cache=True, nogil=True)
+def weighted_moments(rows, target, weights):
+    """Normal equations of a weighted linear fit: (p, p) and (p,).
+
+    Args:
+        rows: (n, p) the fit's basis at each point.
+        target: (n,) what it should give there.
+        weights: (n,) of each point.
+    """
+    n, p = rows.shape
+    normal = np.zeros((p, p))
+    right = np.zeros(p)
+    for i in range(n):
+        for j in range(p):
+            weighted = weights[i] * rows[i, j]
+            right[j] += weighted * target[i]
+            for k in range(j + 1):
+                normal[j, k] += weighted * rows[i, k]
+    for j in range(p):
+        for k in range(j):
+            normal[k, j] = normal[j, k]
+    return normal, right
+
+
 @nb.njit(parallel=True, cache=True, nogil=True)
 def pair_values(points, photo_a, photo_b, geometry_a, geometry_b):
     """Colours (n, 2, 3) of points in both photos; NaN behind a camera."""

@@ -15,7 +15,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from photoreg.cells import within_cells
+from photoreg.kernels_polish import weighted_moments
 
+MAX_POINTS = 20_000
+"""Points that the fit looks at, at most about."""
 PASSES = 4
 """Reweighting passes of the fit."""
 CUT = 2.0
@@ -35,7 +38,7 @@ def light_basis(normals: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 8"]:
 
 def fit_light(
     residual: Float[np.ndarray, "n k"],
-    normals: Float[np.ndarray, "n 3"],
+    normals: Float[np.ndarray, "n scales 3"],
     cell_starts: Int[np.ndarray, "cells+1"],
 ) -> Float[np.ndarray, "n k"]:
     """What of each channel's residuals is a quadratic of the normal, of mean zero.
@@ -45,15 +48,16 @@ def fit_light(
 
     Args:
         residual: Difference of the photos at each point, after gain and offset.
-        normals: Unit normals, smooth over some pixels.
+        normals: Unit normals, evened out over some pixels, and over more.
         cell_starts: First point of each cell of neighbours.
     """
-    basis = light_basis(normals)
+    basis = np.hstack([light_basis(scale) for scale in normals.swapaxes(0, 1)])
     inner = within_cells(basis, cell_starts)
     target = within_cells(residual, cell_starts)
-    light = np.column_stack(
-        [basis @ _robust_fit(inner, channel) for channel in target.T]
-    )
+    some = slice(None, None, max(1, len(basis) // MAX_POINTS))
+    coefficients = [_robust_fit(inner[some], channel[some]) for channel in target.T]
+    # Not by @: how that adds up depends on the number of threads.
+    light = np.einsum("np,kp->nk", basis, coefficients)
     return light - light.mean(axis=0)
 
 
@@ -62,13 +66,10 @@ def _robust_fit(basis: np.ndarray, target: np.ndarray) -> np.ndarray:
     weights = np.ones(len(target))
     coefficients = np.zeros(basis.shape[1])
     for _ in range(PASSES):
-        weighted = weights[:, None] * basis
-        normal = weighted.T @ basis
+        normal, right = weighted_moments(basis, target, weights)
         ridge = RIDGE * float(np.trace(normal)) / len(normal) + 1e-12
-        coefficients = np.linalg.solve(
-            normal + ridge * np.eye(len(normal)), weighted.T @ target
-        )
-        error = target - basis @ coefficients
+        coefficients = np.linalg.solve(normal + ridge * np.eye(len(normal)), right)
+        error = target - np.einsum("np,p->n", basis, coefficients)
         sigma = max(1.4826 * float(np.median(np.abs(error))), 1e-6)
         weights = 1.0 / (1.0 + (error / (CUT * sigma)) ** 2)
     return coefficients

@@ -51,3 +51,9 @@ def pair_cost(surface, images, cameras, gain, offsets, sigma, precision, cut):
             costs[k] += 0.5 * precision[k] * b**2
             costs[k] += (0.5 * cut**2 * np.log(1.0 + ((r - b) / cut) ** 2)).sum()
     return costs
+
+
+def weighted_moments(rows, target, weights):
+    """Normal equations of a weighted linear fit, as a book has them."""
+    W = np.diag(weights)
+    return rows.T @ W @ rows, rows.T @ W @ target

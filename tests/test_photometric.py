@@ -7,9 +7,10 @@ import pytest
 from photoreg.alignment import PolishConfig, _terms, _working_size
 from photoreg.camera import Camera
 from photoreg.increments import Increments, PriorScales
-from photoreg.kernels_polish import colours_at
+from photoreg.kernels_polish import colours_at, weighted_moments
 from photoreg.mesh import Mesh
 from photoreg.photometric import CUT, PairTerm, measure_noise, surface_view
+from tests import naive_photometric
 from tests.naive_photometric import catmull_rom, pair_cost
 from tests.polish_scene import make_polish_scene
 
@@ -133,7 +134,7 @@ def test_measure_noise_finds_exposure_and_noise():
     values = np.stack([truth, 0.8 * truth + 5.0], axis=1)
     values += rng.normal(0.0, 1.0, values.shape)
     values[:, 1] += light
-    flat = np.tile([0.0, 0.0, 1.0], (len(values), 1))
+    flat = np.tile([0.0, 0.0, 1.0], (len(values), 1, 1))
     gain, _, sigma, tau = measure_noise(values, starts, flat)
     root = np.sqrt(0.8)
     assert np.abs(gain - root).max() < 0.005, gain
@@ -154,3 +155,14 @@ def test_sums_do_not_depend_on_the_number_of_threads(term_and_x):
     assert first.cost == second.cost
     assert np.array_equal(first.normal, second.normal)
     assert np.array_equal(first.gradient, second.gradient)
+
+
+def test_weighted_moments_equal_their_twin():
+    rng = np.random.default_rng(9)
+    arguments = rng.normal(size=(500, 5)), rng.normal(size=500), rng.random(500)
+    for ours, twin in zip(
+        weighted_moments(*arguments),
+        naive_photometric.weighted_moments(*arguments),
+        strict=True,
+    ):
+        np.testing.assert_allclose(ours, twin, rtol=1e-10, atol=1e-10)
