@@ -18,7 +18,7 @@ from photoreg.errors import InputError
 from photoreg.formats.cameras import CAMERA_FORMATS
 
 SIZES = {
-    "auto": Option("Auto", "About one texel for each photo pixel on the surface."),
+    "auto": Option("Auto", "Somewhat finer than the photos' pixels on the surface."),
     "1024": Option("1024", "Small, for the web; 1024 texels on the longer side."),
     "2048": Option("2048", "Good for most uses; 2048 texels on the longer side."),
     "4096": Option("4096", "Fine; 4096 texels on the longer side."),
@@ -83,7 +83,7 @@ class ExportPanel:
         self._colour = gui.add_rgb("Colour", (128, 128, 128), visible=False)
         self._bake = gui.add_button("Make the texture", icon=viser.Icon.BRUSH)
         self._text = gui.add_markdown("")
-        self._show = gui.add_checkbox("Show it on the model", True, visible=False)
+        self._show = gui.add_checkbox("Show it", True, visible=False)
         with gui.add_folder(
             "Which photo paints where", expand_by_default=False, visible=False
         ) as self._coverage_folder:

@@ -12,6 +12,7 @@ import tyro
 from photoreg.errors import InputError
 from photoreg.formats.camera_set import CameraSet
 from photoreg.formats.cameras import (
+    CAMERA_FORMATS,
     FormatName,
     camera_format,
     format_to_read,
@@ -82,6 +83,20 @@ def convert_command(
         json_text.dump(figures, sys.stdout, indent=1)
         sys.stdout.write("\n")
     return 0
+
+
+def _formats_in_words() -> str:
+    """What each format keeps and loses, a line each, as the Export tab says it."""
+    return "\n".join(
+        f"    - {name}: {known.keeps} {known.loses}"
+        for name, known in CAMERA_FORMATS.items()
+    )
+
+
+# The registry knows best what its formats lose.
+convert_command.__doc__ = (convert_command.__doc__ or "").replace(
+    "\n\n    Args:", f"\n\n{_formats_in_words()}\n\n    Args:"
+)
 
 
 def _photo_files(photos: Iterable[Path]) -> Iterable[Path]:

@@ -39,8 +39,8 @@ class TextureConfig:
     """Settings of texture baking."""
 
     size: int | Literal["auto"] = "auto"
-    """Texels on the longer side; "auto": about one texel for each photo pixel on the
-    surface, a multiple of 64, at most 8192."""
+    """Texels on the longer side; "auto": somewhat finer than the photos'
+    pixels on the surface, a multiple of 64, at most 8192."""
     mode: Literal["blend", "best"] = "blend"
     """"blend": photos pass into each other, detail comes from the best view. "best":
     each texel from its best photo alone, with visible seams between photos."""

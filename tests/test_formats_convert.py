@@ -9,7 +9,7 @@ from PIL import Image
 
 from photoreg.cli import run
 from photoreg.formats.camera_set import CameraSet
-from photoreg.formats.cameras import read_cameras, write_cameras
+from photoreg.formats.cameras import CAMERA_FORMATS, read_cameras, write_cameras
 from tests.camera_files import NAMES, camera_set, largest_error_px
 from tests.painted import ball_and_moon, cameras_around, photograph
 
@@ -130,3 +130,11 @@ def test_texture_writes_what_the_suffix_says_from_cameras_of_any_format(
     loaded = trimesh.load(out, force="mesh")
     assert isinstance(loaded, trimesh.Trimesh)
     assert len(loaded.faces) == len(mesh.faces)
+
+
+def test_the_help_says_what_each_format_loses(capsys):
+    with pytest.raises(SystemExit):
+        run(["convert", "--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    for name, known in CAMERA_FORMATS.items():
+        assert f"{name}: {known.keeps} {known.loses}" in said
