@@ -38,7 +38,7 @@ fuzz: .venv/.stamp-dev ## Feed damaged files to every reader, a minute each; ARG
 	$(BIN)/python -m tests.fuzz $(ARGS)
 
 lying-input: .venv/.stamp-dev ## Write the table of lying inputs and what each gets, to build/lying-input
-	$(BIN)/pytest -q tests/test_lying_input.py
+	$(BIN)/pytest -q -m "slow or not slow" tests/test_lying_input.py
 
 check: .venv/.stamp-dev ## Lint, formatting, types, import layers
 	$(BIN)/ruff check .

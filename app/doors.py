@@ -164,7 +164,9 @@ class Doors:
     def _exchange(self, pairs: list[tuple[str, str]], port: int) -> Response:
         """The cookie for the right token, and the address without it."""
         if not all(self._matches(value) for name, value in pairs if name == "token"):
-            return refusal(DOORMAT, html=True)
+            return _response(
+                http.HTTPStatus.FORBIDDEN, _door_page().replace(*WRONG), HTML
+            )
         secure = "; Secure" if (self.address or "").startswith("https") else ""
         # Lax, not Strict: a link in a mail must lead in at the first click.
         cookie = (
@@ -185,6 +187,11 @@ DOORMAT = (
     "This photoreg asks for its token: open the address that it printed when it was "
     "started."
 )
+
+
+HTML = {"Content-Type": "text/html; charset=utf-8"}
+WRONG = ("<!-- wrong -->", '<p class="wrong" role="alert">That is not its token.</p>')
+"""In the page with a place to type the token: where a wrong one is told, and how."""
 
 
 def is_loopback(host: str) -> bool:
@@ -217,7 +224,7 @@ def refusal(text: str, html: bool = False) -> Response:
     status = http.HTTPStatus.FORBIDDEN
     if not html:
         return _response(status, text + "\n")
-    return _response(status, _door_page(), {"Content-Type": "text/html; charset=utf-8"})
+    return _response(status, _door_page(), HTML)
 
 
 @functools.cache

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from app.warm_up import toy_scene
 from photoreg.errors import PhotoregError
@@ -93,9 +94,7 @@ def test_a_mesh_that_is_inside_out_is_told_before_it_is_refined():
     assert readiness.problems[0].startswith("The mesh is inside out")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("suffix", ["obj", "ply", "stl", "glb", "off"])
-def test_two_million_faces_are_read_in_bounded_memory(suffix: str, tmp_path: Path):
+def two_million_faces(path: Path) -> None:
     n = 1001
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(n), np.arange(n)))
     vertices = np.column_stack([x, y, 5.0 * np.sin(x / 40.0)])
@@ -104,17 +103,65 @@ def test_two_million_faces_are_read_in_bounded_memory(suffix: str, tmp_path: Pat
     faces = np.vstack(
         [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([b, d, c], -1).reshape(-1, 3)]
     )
-    path = tmp_path / f"m.{suffix}"
     Mesh(vertices, faces).save(path)
+
+
+def hundred_megapixels(path: Path) -> None:
+    rows = np.add.outer(np.arange(8400), np.arange(12000)) % 251
+    pixels = np.repeat(rows.astype(np.uint8)[:, :, None], 3, axis=2)
+    options = {
+        ".png": {"compress_level": 1},
+        ".tif": {"compression": "tiff_lzw"},
+        ".jpg": {},
+    }
+    Image.fromarray(pixels).save(path, **options[path.suffix])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "make", "expected", "most_mb"),
+    [
+        # Measured: 690 (PLY) to 1640 MB (OFF).
+        *(
+            (f"m.{suffix}", two_million_faces, "read: 2000000 triangles", 2500)
+            for suffix in ("obj", "ply", "stl", "glb", "off")
+        ),
+        *(
+            (f"p.{suffix}", hundred_megapixels, "read: 12000 x 8400 px", 1500)
+            for suffix in ("jpg", "png", "tif")
+        ),
+    ],
+)
+def test_large_files_are_read_in_bounded_memory(
+    name: str,
+    make: Callable[[Path], None],
+    expected: str,
+    most_mb: int,
+    tmp_path: Path,
+):
+    make(tmp_path / name)
     code = (
-        "import resource, sys; from photoreg.mesh import load_mesh; "
-        "print(len(load_mesh(sys.argv[1]).faces), "
-        "resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)"
+        "import resource, sys; from pathlib import Path; "
+        "from photoreg.limits import Limits; from tests import lying_input; "
+        "lying_input.LIMITS = Limits(); "
+        "print(lying_input.described(lying_input.read_path(Path(sys.argv[1])))); "
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code, path], capture_output=True, text=True, check=True
+        [sys.executable, "-c", code, tmp_path / name],
+        capture_output=True,
+        text=True,
+        check=True,
     )
-    n_faces, memory_mb = map(int, done.stdout.split())
-    assert n_faces == 2_000_000
-    # Measured: 690 (PLY) to 1640 MB (OFF).
-    assert memory_mb < 2500, f"{memory_mb} MB"
+    answer, memory_mb = done.stdout.splitlines()
+    what = make.__name__.replace("_", " ")
+    size_mb = (tmp_path / name).stat().st_size / 1e6
+    told = f"{answer}, in {memory_mb} MB of memory"
+    TABLES.mkdir(parents=True, exist_ok=True)
+    (TABLES / f"large-{name[2:]}.md").write_text(
+        f"| file | what it is | what one gets |\n|---|---|---|\n"
+        f"| {name} | {what}, {size_mb:.0f} MB | {told} |\n",
+        encoding="utf-8",
+    )
+    assert answer.startswith(expected)
+    assert int(memory_mb) < most_mb, told
