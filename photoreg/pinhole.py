@@ -189,11 +189,11 @@ def fit(
             squared, pull = squared * less, pull * less**2
         off = pairs.prior_steps(of)[:, :n_free]
         cost = np.sum(weights * squared, axis=1) / sigma_px**2 + off**2 @ prior
-        J = J[..., :n_free].reshape(len(of), -1, n_free)
+        J = J[..., :n_free].reshape(len(of), 2 * len(pairs.X), n_free)
         Jt = (J * np.repeat(pull, 2, axis=1)[:, :, None]).transpose(0, 2, 1)
         normal = Jt @ J
         normal[:, diagonal, diagonal] += prior
-        gradient = (Jt @ offsets.reshape(len(of), -1, 1))[:, :, 0] + off * prior
+        gradient = (Jt @ offsets.reshape(*J.shape[:2], 1))[:, :, 0] + off * prior
         return cost, gradient, normal
 
     cost, gradient, normal = at(models)

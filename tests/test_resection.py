@@ -309,6 +309,22 @@ def test_nonsense_pairs_are_refused_or_said_not_to_fit():
         assert solved.warnings, "random pairs passed without a word"
 
 
+@pytest.mark.parametrize("exif", [False, True])
+def test_four_pairs_that_fit_no_camera_are_said_not_to_fit(exif):
+    # None can be left out: three always agree on some camera.
+    for seed in range(5):
+        rng = np.random.default_rng([seed, 16])
+        true, points = a_camera(rng), some_points(rng, 4)
+        pixels = rng.uniform(0, 700, (4, 2))
+        try:
+            solved = solve_camera(
+                points, pixels, W, H, with_focal(true, 1.0) if exif else None
+            )
+        except InputError:
+            continue
+        assert solved.warnings, f"seed {seed}: passed without a word"
+
+
 @pytest.mark.parametrize(
     ("n", "words"),
     [(0, "0 different pairs so far; 4 more"), (1, "3 more pairs are"), (3, "one more")],
