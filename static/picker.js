@@ -5,6 +5,8 @@
   const TILE = 512;
   const CLICK_PX = 4; // A press that moves less is a click.
   const style = document.createElement("style");
+  // The foot keeps its height whatever it says: a panel scrolled down would else move
+  // the photo under the hand when the pixel's coordinates appear.
   style.textContent = `
   .pr-picker{position:relative;display:flex;flex-direction:column;gap:6px;font-size:12px;
     user-select:none;--edge:rgba(128,140,155,.3)}
@@ -17,7 +19,9 @@
   .pr-bar button:hover{background:rgba(128,140,155,.32)}
   .pr-bar button[aria-pressed=true]{background:#1d9e90;color:#fff}
   .pr-bar input{flex:1 1 60px;min-width:50px;accent-color:#1d9e90}
-  .pr-info{margin-left:auto;opacity:.65;font-variant-numeric:tabular-nums}
+  .pr-bar.pr-foot{flex-wrap:nowrap;align-items:flex-start;line-height:1.35;min-height:2.7em}
+  .pr-hint{flex:1;opacity:.75}
+  .pr-info{flex:none;min-width:13ch;text-align:right;opacity:.65;font-variant-numeric:tabular-nums}
   .pr-mark{position:absolute;width:0;height:0;z-index:2;cursor:grab;outline:none}
   .pr-mark::before,.pr-mark::after{content:"";position:absolute;background:var(--c)}
   .pr-mark::before{left:-9px;top:-.75px;width:18px;height:1.5px;
@@ -57,7 +61,7 @@
     </div>
     <div class="pr-view" tabindex="0"><canvas></canvas><div class="pr-marks"></div>
       <div class="pr-empty">Add a photo in the Data tab.</div></div>
-    <div class="pr-bar"><span class="pr-hint" style="opacity:.75"></span>
+    <div class="pr-bar pr-foot"><span class="pr-hint"></span>
       <span class="pr-info"></span></div>`;
   const find = (selector) => root.querySelector(selector);
   const view = find(".pr-view");

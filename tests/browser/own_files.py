@@ -38,7 +38,8 @@ def drop(driver: Driver, files: Mapping[str, bytes]) -> list[str]:
 
 
 def in_picker(driver: Driver, pixel: Sequence[float] | np.ndarray) -> list[float]:
-    """Window pixels of a pixel of the photo."""
+    """Window pixels of a pixel of the photo, once the panel is scrolled to show it."""
+    driver.page.locator(".pr-view").scroll_into_view_if_needed()
     pixel = [float(v) for v in pixel]
     return driver.page.evaluate("p => photoreg.picker.toClient(...p)", pixel)
 
