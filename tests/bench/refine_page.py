@@ -13,8 +13,9 @@ from app.drawing import Drawing, Painter
 from app.messages import Live, OverlayView, Refine
 from app.opening import demo_folder, open_folder
 from app.refining import Refining
+from app.run import PRESET_NAMES
 from app.session import Session, setting
-from photoreg.presets import RegistrationConfig
+from photoreg.presets import PresetName, RegistrationConfig
 from tests.bench.metrics import Metric, Setting, bench
 from tests.bench.served import served
 from tests.bench.wire import listening
@@ -82,9 +83,9 @@ def _listening(
             since = time.time()
             while time.time() - since < 3.0 and session.state.run.is_active:
                 # The dropdown of the presets follows; it changes nothing in the run.
-                preset, name = (("default", "Standard"), ("thorough", "Thorough"))[
-                    len(trips_ms) % 2
-                ]
+                is_default = session.state.preset == "default"
+                preset: PresetName = "thorough" if is_default else "default"
+                name = PRESET_NAMES[preset]
                 seen.clear()
                 asked = time.perf_counter()
                 session.change(None, setting(preset=preset))
