@@ -4,6 +4,7 @@ import base64
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
+from scipy.ndimage import binary_erosion
 
 from app.state import same_camera
 from photoreg.camera import Camera
@@ -105,7 +106,9 @@ def _shared_places(
     rays = rays @ R_page_cam.T
     start = np.repeat(frame.to_world(position)[None], len(rays), axis=0)
     faces, distances = mesh.first_hits(start, rays)
-    hit = faces >= 0
+    # Nobody clicks on the very outline: half a pixel further is off the surface.
+    on_it = (faces >= 0).reshape(x.shape)
+    hit = np.flatnonzero(binary_erosion(on_it, np.ones((3, 3))))
     spots, world = spots[hit], (start + distances[:, None] * rays)[hit]
     ways = world - camera.center
     starts = np.repeat(camera.center[None], len(ways), axis=0)
