@@ -23,6 +23,10 @@ PASSES = 4
 """Reweighting passes of the fit."""
 CUT = 2.0
 """Scale of the Cauchy weights in residual sigmas."""
+MIN_EXPLAINED = 0.05
+"""Least share of the typical residual that light has to explain. Where it did not move,
+the fit finds what stands in front: with a fifth of one photo covered 0.52 px of error
+on average, and 0.42 without."""
 RIDGE = 1e-4
 """Pull of each coefficient to zero, as a share of the basis's mean energy: a surface
 that shows few normals does not determine them all."""
@@ -55,10 +59,22 @@ def fit_light(
     inner = within_cells(basis, cell_starts)
     target = within_cells(residual, cell_starts)
     some = slice(None, None, max(1, len(basis) // MAX_POINTS))
-    coefficients = [_robust_fit(inner[some], channel[some]) for channel in target.T]
+    coefficients = [_light_fit(inner[some], channel[some]) for channel in target.T]
     # Not by @: how that adds up depends on the number of threads.
     light = np.einsum("np,kp->nk", basis, coefficients)
     return light - light.mean(axis=0)
+
+
+def _light_fit(basis: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Coefficients of the light; none where it would explain next to nothing."""
+    coefficients = _robust_fit(basis, target)
+    left = target - np.einsum("np,p->n", basis, coefficients)
+    most = (1.0 - MIN_EXPLAINED) * _typical_deviation(target)
+    return coefficients if _typical_deviation(left) < most else 0.0 * coefficients
+
+
+def _typical_deviation(values: np.ndarray) -> float:
+    return float(np.median(np.abs(values - np.median(values))))
 
 
 def _robust_fit(basis: np.ndarray, target: np.ndarray) -> np.ndarray:

@@ -71,3 +71,12 @@ def test_the_fit_finds_the_scale_at_which_light_meets_the_surface(normals):
     both = np.stack([rough, normals], axis=1)
     found = fit_light(light[:, None], both, CELLS)[:, 0]
     assert np.abs(found - (light - light.mean())).max() < 0.1
+
+
+def test_what_stands_in_front_is_not_taken_for_light(normals):
+    rng = np.random.default_rng(10)
+    residual = rng.normal(0.0, 2.0, len(normals))
+    # A fifth is covered; there the colours differ, and they do so with the normal.
+    covered = np.arange(len(normals)) < len(normals) // 5
+    residual[covered] += 60.0 * normals[covered, 0]
+    assert not fit_light(residual[:, None], normals[:, None], CELLS).any()

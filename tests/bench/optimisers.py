@@ -18,7 +18,7 @@ from unittest import mock
 import numpy as np
 from scipy.optimize import differential_evolution
 
-from photoreg import registration
+from photoreg import search
 from photoreg.evaluate import projection_error
 from photoreg.genes import GeneMap
 from photoreg.genetic import GeneticConfig, evolve
@@ -259,7 +259,7 @@ def _search_costs(
         raise _CaughtError
 
     with (
-        mock.patch.object(registration, "evolve", catch),
+        mock.patch.object(search, "evolve", catch),
         contextlib.suppress(_CaughtError),
     ):
         for _ in refine(world.mesh, world.photos, world.rough_cameras, config):
