@@ -115,7 +115,7 @@ class RegistrationConfig:
             return dataclasses.replace(
                 default,
                 # Starts 80 px off are turned about the object by up to 25 degrees.
-                box=default.box.widened(3.3),
+                box=default.box.widened(2.7),
                 # In so wide a box cameras can slide until a fifth of the points lies
                 # on the background, and trimming a fifth would forgive it: of five
                 # starts 80 px off, one ended at 220 px by the alpha-trimmed mean,
@@ -123,7 +123,7 @@ class RegistrationConfig:
                 consistency=dataclasses.replace(
                     default.consistency, cost="trimmed_squares", alpha=0.1, blur_px=2.0
                 ),
-                pull=1.5,
+                pull=2.0,
                 genetic=dataclasses.replace(
                     default.genetic,
                     population=1500,
