@@ -325,6 +325,36 @@ def slope_energy(points, normals_world, photo_a, photo_b, geometry_a, geometry_b
     return out
 
 
+@nb.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def dot(a, b, n):
+    """Sum of the products of the first n of each; in any order, so as vectors."""
+    total = 0.0
+    for i in range(n):
+        total += a[i] * b[i]
+    return total
+
+
+@nb.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def cell_offset(residual, weight, n, precision, cut):
+    """What the first n residuals have in common, robustly, with a prior around zero."""
+    # Start between the wide and the robust mean: from zero a cell whose offset is
+    # beyond the cut would never be found.
+    top, total = 0.0, precision
+    for i in range(n):
+        top += weight[i] * residual[i]
+        total += weight[i]
+    offset = top / total if total > 0.0 else 0.0
+    for _ in range(CELL_PASSES):
+        top, total = 0.0, precision
+        for i in range(n):
+            e = (residual[i] - offset) / cut
+            w = weight[i] / (1.0 + e * e)
+            top += w * residual[i]
+            total += w
+        offset = top / total if total > 0.0 else 0.0
+    return offset
+
+
 @nb.njit(cache=True, nogil=True)
 def chunk_equations(
     first_cell,
@@ -342,7 +372,6 @@ def chunk_equations(
     inverse_sigma,
     cell_precision,
     cut,
-    with_derivatives,
     costs,
     gradients,
     normals,
@@ -354,113 +383,94 @@ def chunk_equations(
     longest = 0
     for cell in range(first_cell, end_cell):
         longest = max(longest, cell_starts[cell + 1] - cell_starts[cell])
-    residual = np.zeros((longest, CHANNELS))
-    slope = np.zeros((longest, CHANNELS, 4))
-    shared = np.zeros((longest, CHANNELS, 4))
+    # The points of a cell lie side by side, so that the sums over them are vectors'.
+    residual = np.zeros((CHANNELS, longest))
+    slope = np.zeros((CHANNELS, 4, longest))
+    shared = np.zeros((CHANNELS, 4, longest))
+    rows = np.zeros((4, N, longest))
+    pull = np.zeros((4, longest))
+    root_J = np.zeros((2 * N, longest))
+    root = np.zeros(longest)
+    weight = np.zeros(longest)
     map_a = np.zeros((2, 2))
     map_b = np.zeros((2, 2))
-    rows = np.zeros((longest, 4, N))
-    ok = np.zeros(longest, dtype=np.bool_)
-    colour = np.zeros((CHANNELS, 3))
+    own_rows = np.zeros((4, N))
+    own_slope = np.zeros(4)
+    own_shared = np.zeros(4)
+    colour_a = np.zeros((CHANNELS, 3))
+    colour_b = np.zeros((CHANNELS, 3))
     uv_a = np.zeros(5)
     uv_b = np.zeros(5)
-    J = np.zeros(2 * N)
-    mean_J = np.zeros((CHANNELS, 2 * N))
+    mean_J = np.zeros(2 * N)
     for cell in range(first_cell, end_cell):
-        first = cell_starts[cell]
-        n = cell_starts[cell + 1] - first
-        for i in range(n):
-            x = points[first + i, 0]
-            y = points[first + i, 1]
-            z = points[first + i, 2]
-            ok[i] = project_point(geometry_a, x, y, z, uv_a)
-            ok[i] = ok[i] and project_point(geometry_b, x, y, z, uv_b)
-            if not ok[i]:
+        n = 0
+        for i in range(cell_starts[cell], cell_starts[cell + 1]):
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            if not project_point(geometry_a, x, y, z, uv_a):
                 continue
-            sample_cubic(photo_a, uv_a[0], uv_a[1], colour)
+            if not project_point(geometry_b, x, y, z, uv_b):
+                continue
+            sample_cubic(photo_a, uv_a[0], uv_a[1], colour_a)
+            sample_cubic(photo_b, uv_b[0], uv_b[1], colour_b)
+            weight[n] = weights[i]
             for k in range(CHANNELS):
-                scale = gain[k] * inverse_sigma[k]
-                residual[i, k] = (
-                    colour[k, 0] * scale - offsets[first + i, k] * inverse_sigma[k]
+                scale_a = gain[k] * inverse_sigma[k]
+                scale_b = inverse_sigma[k] / gain[k]
+                residual[k, n] = (
+                    colour_a[k, 0] * scale_a
+                    - colour_b[k, 0] * scale_b
+                    - offsets[i, k] * inverse_sigma[k]
                 )
-                slope[i, k, 0] = colour[k, 1] * scale
-                slope[i, k, 1] = colour[k, 2] * scale
-            sample_cubic(photo_b, uv_b[0], uv_b[1], colour)
+                slope[k, 0, n] = colour_a[k, 1] * scale_a
+                slope[k, 1, n] = colour_a[k, 2] * scale_a
+                slope[k, 2, n] = -colour_b[k, 1] * scale_b
+                slope[k, 3, n] = -colour_b[k, 2] * scale_b
+            projection_rows(geometry_a, uv_a, own_rows[:2])
+            projection_rows(geometry_b, uv_b, own_rows[2:])
+            for m in range(4):
+                for j in range(N):
+                    rows[m, j, n] = own_rows[m, j]
+            tangent_map(geometry_a, uv_a, normals_world[i], map_a)
+            tangent_map(geometry_b, uv_b, normals_world[i], map_b)
             for k in range(CHANNELS):
-                scale = inverse_sigma[k] / gain[k]
-                residual[i, k] -= colour[k, 0] * scale
-                slope[i, k, 2] = -colour[k, 1] * scale
-                slope[i, k, 3] = -colour[k, 2] * scale
-            if with_derivatives:
-                projection_rows(geometry_a, uv_a, rows[i, :2])
-                projection_rows(geometry_b, uv_b, rows[i, 2:])
-                tangent_map(geometry_a, uv_a, normals_world[first + i], map_a)
-                tangent_map(geometry_b, uv_b, normals_world[first + i], map_b)
-                for k in range(CHANNELS):
-                    share_slope(map_a, map_b, slope[i, k], shared[i, k])
+                for m in range(4):
+                    own_slope[m] = slope[k, m, n]
+                share_slope(map_a, map_b, own_slope, own_shared)
+                for m in range(4):
+                    shared[k, m, n] = own_shared[m]
+            n += 1
         for k in range(CHANNELS):
-            # Start between the wide and the robust mean: from zero a cell whose
-            # offset is beyond the cut would never be found.
-            b = 0.0
+            b = cell_offset(residual[k], weight, n, cell_precision[k], cut)
+            cost = 0.5 * cell_precision[k] * b * b
+            total = cell_precision[k]
+            for i in range(n):
+                e = (residual[k, i] - b) / cut
+                cost += weight[i] * 0.5 * cut * cut * np.log(1.0 + e * e)
+                w = weight[i] / (1.0 + e * e)
+                total += w
+                root[i] = np.sqrt(w)
+                for m in range(4):
+                    pull[m, i] = w * (residual[k, i] - b) * slope[k, m, i]
+            costs[k] += cost
+            if not total > 0.0:
+                continue
             g = gradients[cell, k]
             H = normals[k]
-            cost = 0.0
-            total = cell_precision[k]
-            for i in range(n):
-                if ok[i]:
-                    w = weights[first + i]
-                    b += w * residual[i, k]
-                    total += w
-            b = b / total if total > 0.0 else 0.0
-            for _ in range(CELL_PASSES):
-                top = 0.0
-                total = cell_precision[k]
-                for i in range(n):
-                    if ok[i]:
-                        e = (residual[i, k] - b) / cut
-                        w = weights[first + i] / (1.0 + e * e)
-                        top += w * residual[i, k]
-                        total += w
-                b = top / total if total > 0.0 else 0.0
-            cost += 0.5 * cell_precision[k] * b * b
-            total = cell_precision[k]
-            for j in range(2 * N):
-                mean_J[k, j] = 0.0
-            for i in range(n):
-                if not ok[i]:
-                    continue
-                e = (residual[i, k] - b) / cut
-                cost += weights[first + i] * 0.5 * cut * cut * np.log(1.0 + e * e)
-                if not with_derivatives:
-                    continue
-                w = weights[first + i] / (1.0 + e * e)
-                pull = w * (residual[i, k] - b)
+            for half in range(2):
+                s, t = shared[k, 2 * half], shared[k, 2 * half + 1]
+                u, v = pull[2 * half], pull[2 * half + 1]
                 for j in range(N):
-                    J[j] = (
-                        shared[i, k, 0] * rows[i, 0, j]
-                        + shared[i, k, 1] * rows[i, 1, j]
+                    row_u, row_v = rows[2 * half, j], rows[2 * half + 1, j]
+                    out = root_J[half * N + j]
+                    for i in range(n):
+                        out[i] = root[i] * (s[i] * row_u[i] + t[i] * row_v[i])
+                    g[half * N + j] += dot(u, row_u, n) + dot(v, row_v, n)
+            for j in range(2 * N):
+                mean_J[j] = dot(root, root_J[j], n)
+                for m in range(j + 1):
+                    H[j, m] += (
+                        dot(root_J[j], root_J[m], n) - mean_J[j] * mean_J[m] / total
                     )
-                    J[N + j] = (
-                        shared[i, k, 2] * rows[i, 2, j]
-                        + shared[i, k, 3] * rows[i, 3, j]
-                    )
-                    g[j] += pull * (
-                        slope[i, k, 0] * rows[i, 0, j] + slope[i, k, 1] * rows[i, 1, j]
-                    )
-                    g[N + j] += pull * (
-                        slope[i, k, 2] * rows[i, 2, j] + slope[i, k, 3] * rows[i, 3, j]
-                    )
-                total += w
-                for j in range(2 * N):
-                    wJ = w * J[j]
-                    mean_J[k, j] += wJ
-                    for m in range(j + 1):
-                        H[j, m] += wJ * J[m]
-            if with_derivatives and total > 0.0:
-                for j in range(2 * N):
-                    for m in range(j + 1):
-                        H[j, m] -= mean_J[k, j] * mean_J[k, m] / total
-            costs[k] += cost
     for k in range(CHANNELS):
         for j in range(2 * N):
             for m in range(j):
@@ -483,7 +493,6 @@ def pair_normal_equations(
     inverse_sigma,
     cell_precision,
     cut,
-    with_derivatives,
 ):
     """Cost and normal equations of one photo pair, one row a chunk of cells.
 
@@ -515,7 +524,6 @@ def pair_normal_equations(
         inverse_sigma: (3,) inverse residual scale.
         cell_precision: (3,) sigma^2 / tau^2 of the cells' offsets.
         cut: scale of the Cauchy cost, in sigmas.
-        with_derivatives: False leaves gradient and normal matrix at zero.
 
     Returns:
         Costs (chunks, 3), gradients (cells, 3, 18), normal matrices
@@ -542,7 +550,6 @@ def pair_normal_equations(
             inverse_sigma,
             cell_precision,
             cut,
-            with_derivatives,
             costs[chunk],
             gradients,
             normals[chunk],

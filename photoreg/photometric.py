@@ -349,13 +349,9 @@ class PairTerm:
             np.full(3, weight),
         )
 
-    def cost(self, x: Float[np.ndarray, "p"]) -> float:
-        """The cost at ``x``."""
-        return float(self._sums(x, derivatives=False)[0].sum(axis=0) @ self.weight)
-
     def linearise(self, x: Float[np.ndarray, "p"]) -> Quadratic:
         """The cost and normal equations at ``x``."""
-        costs, gradients, normals = self._sums(x, derivatives=True)
+        costs, gradients, normals = self._sums(x)
         rows = self._rows
         gradient, normal = np.zeros(len(x)), np.zeros((len(x), len(x)))
         gradient[rows] = self.weight @ gradients.sum(axis=0)
@@ -396,9 +392,7 @@ class PairTerm:
 
     def _own_scores(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Gradients (cells, 3, 18) and normals (3, 18, 18) where this term would go."""
-        _, gradients, normals = self._sums(
-            x + own_step(self.linearise(x)), derivatives=True
-        )
+        _, gradients, normals = self._sums(x + own_step(self.linearise(x)))
         return gradients, normals.sum(axis=0)
 
     @property
@@ -411,9 +405,7 @@ class PairTerm:
             [np.arange(N_INCREMENTS) + i * N_INCREMENTS for i in self.pair]
         )
 
-    def _sums(
-        self, x: np.ndarray, *, derivatives: bool
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _sums(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         surface = self.surface
         with np.errstate(divide="ignore"):
             precision = np.minimum((self.sigma / self.tau) ** 2, 1e12)
@@ -430,7 +422,6 @@ class PairTerm:
             1.0 / self.sigma,
             precision,
             CUT,
-            derivatives,
         )
         return costs, gradients, normals * self.signal[:, None, None]
 

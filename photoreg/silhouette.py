@@ -289,11 +289,6 @@ class RimTerm:
             weight,
         )
 
-    def cost(self, x: Float[np.ndarray, "p"]) -> float:
-        """The cost at ``x``."""
-        residual, _ = self._residuals(x)
-        return self._offsets(residual)[2]
-
     def linearise(self, x: Float[np.ndarray, "p"]) -> Quadratic:
         """The cost and normal equations at ``x``."""
         residual, rows = self._residuals(x)

@@ -18,12 +18,10 @@ class Rosenbrock:
     def _residuals(self, x):
         return np.array([1.0 - x[0], 10.0 * (x[1] - x[0] ** 2)])
 
-    def cost(self, x):
-        return float(0.5 * (self._residuals(x) ** 2).sum())
-
     def linearise(self, x):
         J = np.array([[-1.0, 0.0], [-20.0 * x[0], 10.0]])
-        return Quadratic(self.cost(x), J.T @ self._residuals(x), J.T @ J)
+        r = self._residuals(x)
+        return Quadratic(0.5 * float(r @ r), J.T @ r, J.T @ J)
 
 
 def test_minimise_follows_a_curved_valley_to_its_bottom():
