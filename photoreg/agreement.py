@@ -4,7 +4,9 @@ The polish's own cost holds points, edges and noise that were measured at one po
 it cannot compare two. Here everything is measured afresh at the pose that is judged.
 """
 
+import concurrent.futures
 import dataclasses
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -75,39 +77,40 @@ def disagreement(
     """Colours that differ on the surface, and rims off the photos' edges."""
     small = [_reduced(camera) for camera in cameras]
     views = surface_views(mesh, small)
-    images = [
-        prepare_photo(photo, view, BLUR_PX)
-        for photo, view in zip(photos, views, strict=True)
-    ]
     n_pairs = max(1, len(photos) * (len(photos) - 1) // 2)
+
+    def shared_points(pair: tuple[int, int]) -> PairPoints:
+        i, k = pair
+        return pair_points(
+            mesh,
+            (photos[i], photos[k]),
+            (views[i], views[k]),
+            max(MIN_POINTS, N_POINTS // n_pairs),
+            CELL_PX,
+            EDGE_MARGIN_PX,
+            min_cosine,
+            seed=0,
+        )
+
+    def outline_share(photo: Photo, view: SurfaceView) -> float:
+        return _outline_share(mesh, photo, view)
+
+    pairs = [(i, k) for k in range(len(photos)) for i in range(k)]
+    with concurrent.futures.ThreadPoolExecutor() as threads:
+        surfaces = threads.map(shared_points, pairs)
+        images = threads.map(prepare_photo, photos, views, itertools.repeat(BLUR_PX))
+        outlines = threads.map(outline_share, photos, views)
+        surfaces, images, outlines = list(surfaces), list(images), tuple(outlines)
     colours, typical_colours = {}, {}
-    for k in range(len(photos)):
-        for i in range(k):
-            surface = pair_points(
-                mesh,
-                (photos[i], photos[k]),
-                (views[i], views[k]),
-                max(MIN_POINTS, N_POINTS // n_pairs),
-                CELL_PX,
-                EDGE_MARGIN_PX,
-                min_cosine,
-                seed=0,
-            )
-            if len(surface.points) < 100:
-                colours[i, k] = typical_colours[i, k] = 1.0
-                continue
-            values = np.stack(
-                [
-                    colours_at(images[m], small[m].project(surface.points))
-                    for m in (i, k)
-                ],
-                axis=1,
-            )
-            colours[i, k], typical_colours[i, k] = _colour_shares(values, surface)
-    outlines = tuple(
-        _outline_share(mesh, photo, view)
-        for photo, view in zip(photos, views, strict=True)
-    )
+    for (i, k), surface in zip(pairs, surfaces, strict=True):
+        if len(surface.points) < 100:
+            colours[i, k] = typical_colours[i, k] = 1.0
+            continue
+        values = np.stack(
+            [colours_at(images[m], small[m].project(surface.points)) for m in (i, k)],
+            axis=1,
+        )
+        colours[i, k], typical_colours[i, k] = _colour_shares(values, surface)
     return Disagreement(colours, typical_colours, outlines)
 
 

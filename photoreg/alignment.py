@@ -21,6 +21,7 @@ from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.photometric import (
     EDGE_MARGIN_PX,
+    PairPoints,
     PairTerm,
     SurfaceView,
     camera_rays,
@@ -325,32 +326,32 @@ def _terms(
         )
         blurs.append(sigma / reduction)
     views = surface_views(mesh, small)
-    with concurrent.futures.ThreadPoolExecutor() as threads:
-        images = list(threads.map(prepare_photo, photos, views, blurs))
     pairs = [(i, k) for k in range(len(photos)) for i in range(k)]
-    terms: list[PairTerm | RimTerm] = []
-    if config.use_silhouette:
 
-        def rim_term(i: int) -> RimTerm | None:
-            return _rim_term(mesh, photos[i], views[i], i, increments[i], level, config)
+    def rim_term(i: int) -> RimTerm | None:
+        return _rim_term(mesh, photos[i], views[i], i, increments[i], level, config)
 
-        with concurrent.futures.ThreadPoolExecutor() as threads:
-            found = threads.map(rim_term, range(len(photos)))
-            terms += [term for term in found if term is not None]
-    if not config.use_colour:
-        return terms
-    for i, k in pairs:
-        cell = config.cell_px * views[i].camera.width / 1024.0
-        surface = pair_points(
+    def shared_points(pair: tuple[int, int]) -> PairPoints:
+        i, k = pair
+        return pair_points(
             mesh,
             (photos[i], photos[k]),
             (views[i], views[k]),
             max(500, n_points // len(pairs)),
-            cell,
+            config.cell_px * views[i].camera.width / 1024.0,
             EDGE_MARGIN_PX,
             config.min_cosine,
             seed,
         )
+
+    with concurrent.futures.ThreadPoolExecutor() as threads:
+        colour, rims = config.use_colour, config.use_silhouette
+        surfaces = threads.map(shared_points, pairs if colour else [])
+        images = threads.map(prepare_photo, photos, views, blurs) if colour else []
+        found = threads.map(rim_term, range(len(photos)) if rims else [])
+        surfaces, images = list(surfaces), list(images)
+        terms: list[PairTerm | RimTerm] = [t for t in found if t is not None]
+    for (i, k), surface in zip(pairs, surfaces, strict=False):
         if len(surface.points) < 200:
             continue
         seen = float(views[i].covered.sum())
