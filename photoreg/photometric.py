@@ -159,11 +159,12 @@ def prepare_photo(
     total = float(cover.sum())
     if total == 0.0 or sigma_px <= 0.0:
         return channels
-    mean = (channels * cover[:, :, None]).sum(axis=(0, 1)) / total
-    channels -= mean.astype(np.float32)
-    blurred = cv2.GaussianBlur(channels * cover[:, :, None], (0, 0), sigma_px)
-    weight = cv2.GaussianBlur(cover, (0, 0), sigma_px)
-    blurred /= np.maximum(weight, 1e-3)[:, :, None]
+    # Three channels apart: numpy is slow where the innermost axis has three.
+    covers = cv2.merge([cover] * 3)
+    channels -= np.array(cv2.sumElems(channels * covers)[:3], np.float32) / total
+    blurred = cv2.GaussianBlur(channels * covers, (0, 0), sigma_px)
+    weight = np.maximum(cv2.GaussianBlur(cover, (0, 0), sigma_px), 1e-3)
+    blurred /= cv2.merge([weight] * 3)
     return blurred
 
 
@@ -270,9 +271,8 @@ def _seen_normals(
     In pixels, so that a mesh's roughness does not count for its shape, however fine its
     faces are.
     """
-    seen = np.where(
-        view.covered[:, :, None], mesh.face_normals[view.face_index], 0.0
-    ).astype(np.float32)
+    seen = np.zeros((*view.covered.shape, 3), np.float32)
+    seen[view.covered] = mesh.face_normals[view.face_index[view.covered]]
     at_scales = []
     for blur_px in LIGHT_BLURS_PX:
         sigma = blur_px * view.camera.width / 1024.0

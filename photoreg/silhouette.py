@@ -11,11 +11,11 @@ Giblin, "Visual Motion of Curves and Surfaces", 2000, section 2).
 """
 
 import dataclasses
-import itertools
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.ndimage import correlate1d
 
 from photoreg.cells import cell_means
 from photoreg.increments import N_INCREMENTS, Increments
@@ -142,21 +142,14 @@ def colour_model(
     bins = 24
     gap = cv2.distanceTransform((~covered).astype(np.uint8), cv2.DIST_L2, 5)
     around = ~covered & (gap <= max(2, round(reach_px)))
+    values = np.ascontiguousarray(pixels, dtype=np.float32)
     histograms = []
     for region in (covered, around):
-        values = np.clip(pixels[region] * (bins / 256.0), 0, bins - 1).astype(np.int64)
-        flat = (values[:, 0] * bins + values[:, 1]) * bins + values[:, 2]
-        counts = np.bincount(flat, minlength=bins**3).reshape(bins, bins, bins)
-        smooth = counts.astype(np.float64)
+        smooth = cv2.calcHist(
+            [values], [0, 1, 2], region.astype(np.uint8), [bins] * 3, [0.0, 256.0] * 3
+        ).astype(np.float64)
         for axis in range(3):
-            padded = np.pad(
-                smooth, [(1, 1) if a == axis else (0, 0) for a in range(3)], mode="edge"
-            )
-            a, b, c = (
-                np.take(padded, np.arange(bins) + shift, axis=axis)
-                for shift in range(3)
-            )
-            smooth = 0.25 * a + 0.5 * b + 0.25 * c
+            smooth = correlate1d(smooth, [0.25, 0.5, 0.25], axis, mode="nearest")
         histograms.append((smooth + 0.02) / (smooth + 0.02).sum())
     ratio = np.log(histograms[0] / histograms[1])
     return ColourModel(np.clip(ratio, -3.0, 3.0))
@@ -268,9 +261,8 @@ class RimTerm:
         starts = np.append(
             np.arange(0, len(offset) - SEGMENT_POINTS // 2, SEGMENT_POINTS), len(offset)
         )
-        medians = np.array(
-            [np.median(offset[a:b]) for a, b in itertools.pairwise(starts)]
-        )
+        full = offset[: starts[-2]].reshape(-1, SEGMENT_POINTS)
+        medians = np.append(np.median(full, axis=1), np.median(offset[starts[-2] :]))
         inner = offset - np.repeat(medians, np.diff(starts))
         sigma = max(1.4826 * float(np.median(np.abs(inner))), MIN_SIGMA_PX)
         centred = medians - np.median(medians)
