@@ -60,8 +60,10 @@ def swipe_html(before: bytes, after: bytes, left: str, right: str = "now") -> st
         f'<b style="right:8px">{html.escape(right)}</b>'
         '<input type="range" min="0" max="100" step="0.1" value="50" '
         'aria-label="Line between before and after" '
+        'title="Drag the line: before at its left, after at its right" '
         "oninput=\"this.parentNode.style.setProperty('--x',this.value+'%')\"></div>"
-        '<button class="pr-button" type="button" onclick="this.previousElementSibling'
+        '<button class="pr-button" type="button" title="Shows before and after by '
+        'turns: what jumps has moved" onclick="this.previousElementSibling'
         ".classList.toggle('blink')\">Blink</button>"
     )
 

@@ -127,7 +127,10 @@ class AdvancedPanel:
         with self._folder:
             self._text = gui.add_markdown("")
             self._back = gui.add_button(
-                "Back to the preset", icon=viser.Icon.RESTORE, color="gray"
+                "Back to the preset",
+                icon=viser.Icon.RESTORE,
+                color="gray",
+                hint="Every setting as the preset has it.",
             )
             groups: dict[tuple[str, ...], list[Setting]] = {}
             for found in all_settings(RegistrationConfig):

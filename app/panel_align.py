@@ -248,7 +248,10 @@ class AlignPanel:
             str(state.selected),
             visible=entry is not None,
             options={
-                str(i): Option(f"{i + 1} · {e.photo.name.rpartition('.')[0]}")
+                str(i): Option(
+                    f"{i + 1} · {e.photo.name.rpartition('.')[0]}",
+                    title=f"Work on {e.photo.name}",
+                )
                 for i, e in enumerate(state.document.photos)
             },
         )

@@ -227,13 +227,19 @@ def _opening_html(state: State, busy: bool, limits: Limits) -> str:
     no_photos = busy or not state.document.photos
     return (
         '<div style="margin:4px 12px 10px">'
-        + _big_button(text, "background:#26a69a;color:#04211e", busy)
+        + _big_button(
+            text,
+            "A mesh, photos, or both, from this computer",
+            "background:#26a69a;color:#04211e",
+            busy,
+        )
         + f'<div style="{_FINE_PRINT};margin-bottom:9px">'
         "Or drop them anywhere on this page, several at once. Mesh: OBJ, PLY, STL, GLB, "
         f"OFF. Photos: JPEG, PNG, TIFF. Up to {limits.file_mb:,.0f} MB each. A new photo "
         "gets a first camera in front of the object; place it in the next tab.</div>"
         + _big_button(
             "Load cameras …",
+            "Puts the cameras where another program's file says",
             "background:rgba(128,140,155,.25);color:inherit",
             no_photos,
             ",".join(CAMERA_SUFFIXES) + ",.zip",
@@ -248,10 +254,13 @@ def _opening_html(state: State, busy: bool, limits: Limits) -> str:
 _FINE_PRINT = "font-size:12.5px;opacity:.75;margin-top:7px;line-height:1.45"
 
 
-def _big_button(text: str, colours: str, disabled: bool, accept: str = "") -> str:
+def _big_button(
+    text: str, title: str, colours: str, disabled: bool, accept: str = ""
+) -> str:
     dim = "opacity:.5;cursor:default" if disabled else "cursor:pointer"
     return (
-        f'<button {"disabled" if disabled else ""} style="font:inherit;font-size:14px;'
+        f'<button title="{title}" {"disabled" if disabled else ""} '
+        'style="font:inherit;font-size:14px;'
         f"font-weight:600;border:0;border-radius:5px;padding:9px;width:100%;{colours};"
         f'{dim}" onclick="photoreg.choose(\'{accept}\')">{text}</button>'
     )

@@ -80,10 +80,24 @@ class ExportPanel:
             gui, bus, "Layout", LAYOUTS, configure("keep_uv", "own".__eq__)
         )
         self._unseen = Choice(gui, bus, "Unseen", {}, configure("unseen"))
-        self._colour = gui.add_rgb("Colour", (128, 128, 128), visible=False)
-        self._bake = gui.add_button("Make the texture", icon=viser.Icon.BRUSH)
+        self._colour = gui.add_rgb(
+            "Colour",
+            (128, 128, 128),
+            visible=False,
+            hint="Of the surface that no photo saw.",
+        )
+        self._bake = gui.add_button(
+            "Make the texture",
+            icon=viser.Icon.BRUSH,
+            hint="Lays the photos onto the mesh with the cameras as they are now.",
+        )
         self._text = gui.add_markdown("")
-        self._show = gui.add_checkbox("Show it", True, visible=False)
+        self._show = gui.add_checkbox(
+            "Show it",
+            True,
+            visible=False,
+            hint="The textured model in the 3-D view, or the bare mesh.",
+        )
         with gui.add_folder(
             "Which photo paints where", expand_by_default=False, visible=False
         ) as self._coverage_folder:
@@ -91,15 +105,27 @@ class ExportPanel:
         self._format = Choice(gui, bus, "File", FORMATS, choose("format"))
         self._picture = Choice(gui, bus, "Picture", PICTURES, choose("picture"))
         self._model = gui.add_button(
-            "Download the model", icon=viser.Icon.DOWNLOAD, disabled=True
+            "Download the model",
+            icon=viser.Icon.DOWNLOAD,
+            disabled=True,
+            hint="The mesh with the texture made last, in the file format above.",
         )
         gui.add_divider()
         gui.add_markdown("The cameras, for your other programs.")
-        self._program = gui.add_dropdown("For", tuple(PROGRAMS))
+        self._program = gui.add_dropdown(
+            "For", tuple(PROGRAMS), hint="The program that shall read the cameras."
+        )
         self._loses = gui.add_html("")
-        self._with_photos = gui.add_checkbox("With the photos", True)
+        self._with_photos = gui.add_checkbox(
+            "With the photos",
+            True,
+            hint="Puts the photo files into the zip, where the program looks for them.",
+        )
         self._cameras = gui.add_button(
-            "Download the cameras", icon=viser.Icon.CAMERA, color="gray"
+            "Download the cameras",
+            icon=viser.Icon.CAMERA,
+            color="gray",
+            hint="All cameras as they are now, in that program's format.",
         )
 
         @self._program.on_update

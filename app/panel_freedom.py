@@ -10,10 +10,13 @@ from app.state import HeldPart, State
 from photoreg.box_reach import BoxReach
 from photoreg.presets import RegistrationConfig
 
-PARTS: dict[HeldPart, str] = {
-    "pose": "Keep place and turn",
-    "focal": "Keep focal length",
-    "principal_point": "Keep principal point",
+PARTS: dict[HeldPart, tuple[str, str]] = {
+    "pose": ("Keep place and turn", "Where this camera stands, and where it looks."),
+    "focal": ("Keep focal length", "The zoom of this photo."),
+    "principal_point": (
+        "Keep principal point",
+        "Where in this photo the lens looks straight ahead.",
+    ),
 }
 
 
@@ -107,8 +110,8 @@ class FreedomPanel:
         with self._fold:
             for number, name in enumerate(self._names, 1):
                 self._nodes.append(self._gui.add_markdown(f"**{number}. {name}**"))
-                for part, label in PARTS.items():
-                    tick = self._gui.add_checkbox(label, False)
+                for part, (label, help) in PARTS.items():
+                    tick = self._gui.add_checkbox(label, False, hint=help)
                     self._ticks[name, part] = tick
                     self._listen(tick, (name, part))
 

@@ -52,12 +52,15 @@ class PointsPanel:
         )
         self._state = gui.add_html("")
         self._live = gui.add_checkbox(
-            "Solve as points come in",
+            "Solve live",
             True,
             hint="Places this photo's camera anew whenever one of its points changes.",
         )
         self._solve = gui.add_button(
-            "Solve", icon=viser.Icon.TARGET_ARROW, disabled=True
+            "Solve",
+            icon=viser.Icon.TARGET_ARROW,
+            disabled=True,
+            hint="Places this photo's camera where its points fit best.",
         )
         self._table = gui.add_html("")
         self._tools = Tools(gui, bus, "", (), lambda _, value: self._use_tool(value))

@@ -26,24 +26,49 @@ class ProjectPanel:
         # A folder without a heading: viser shows an upload button whatever it is told.
         with gui.add_folder(None, visible=False) as self._asking:
             self._question = gui.add_html("")
-            self._path = gui.add_text("It is now at", "")
-            self._look = gui.add_button("Look there", icon=viser.Icon.SEARCH)
+            self._path = gui.add_text(
+                "It is now at", "", hint="The path of the file, or of its folder."
+            )
+            self._look = gui.add_button(
+                "Look there",
+                icon=viser.Icon.SEARCH,
+                hint="Takes the file from the path above.",
+            )
             self._upload = gui.add_upload_button(
-                "Bring it from this computer", icon=viser.Icon.UPLOAD
+                "Bring it from this computer",
+                icon=viser.Icon.UPLOAD,
+                hint="Sends the file from the computer that this page is open on.",
             )
             self._change = gui.add_button(
-                "Use the changed file", icon=viser.Icon.FILE_ALERT
+                "Use the changed file",
+                icon=viser.Icon.FILE_ALERT,
+                hint="Goes on with the file as it is now.",
             )
-            self._leave = gui.add_button("Leave this project closed", color="gray")
+            self._leave = gui.add_button(
+                "Leave this project closed",
+                color="gray",
+                hint="Stays with what is open now; nothing is changed.",
+            )
         with gui.add_folder("Project", expand_by_default=False) as self._folder:
             self._facts = gui.add_html("")
             self._new = gui.add_button(
-                "New project", icon=viser.Icon.FILE_PLUS, color="gray"
+                "New project",
+                icon=viser.Icon.FILE_PLUS,
+                color="gray",
+                hint="Begins an empty project. What is open now is kept.",
             )
             self._open = gui.add_button(
-                "Open a project", icon=viser.Icon.FOLDER_OPEN, color="gray"
+                "Open a project",
+                icon=viser.Icon.FOLDER_OPEN,
+                color="gray",
+                hint="Goes on with another project. What is open now is kept.",
             )
-            self._save = gui.add_button("Save as", icon=viser.Icon.COPY, color="gray")
+            self._save = gui.add_button(
+                "Save as",
+                icon=viser.Icon.COPY,
+                color="gray",
+                hint="Copies the project to another folder, and goes on there.",
+            )
 
         self._new.on_click(guarded(lambda event: self._ask_new(event.client)))
         self._open.on_click(guarded(lambda event: self._ask_open(event.client)))

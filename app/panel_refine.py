@@ -43,48 +43,79 @@ class RefinePanel:
             "Moves all cameras together until the photos agree over the whole surface."
         )
         self._preset = gui.add_dropdown(
-            "Thoroughness", tuple(PRESETS), initial_value="Standard"
+            "Thoroughness",
+            tuple(PRESETS),
+            initial_value="Standard",
+            hint="How widely and how long cameras are sought.",
         )
         self._preset_help = gui.add_markdown("")
         self._checks = gui.add_markdown("")
-        self._start = gui.add_button("Refine", icon=viser.Icon.PLAYER_PLAY)
+        self._start = gui.add_button(
+            "Refine",
+            icon=viser.Icon.PLAYER_PLAY,
+            hint="Starts from the cameras as they are now.",
+        )
         self._pause = gui.add_button(
-            "Pause", icon=viser.Icon.PLAYER_PAUSE, color="gray", visible=False
+            "Pause",
+            icon=viser.Icon.PLAYER_PAUSE,
+            color="gray",
+            visible=False,
+            hint="Halts the run; nothing of it is lost.",
         )
         self._resume = gui.add_button(
-            "Resume", icon=viser.Icon.PLAYER_PLAY, visible=False
+            "Resume",
+            icon=viser.Icon.PLAYER_PLAY,
+            visible=False,
+            hint="Goes on with the run that was halted.",
         )
         self._stop = gui.add_button(
             "Stop and keep the best",
             icon=viser.Icon.PLAYER_STOP,
             color="red",
             visible=False,
+            hint="Ends the run; you may accept the best cameras it found.",
         )
         self._drop = gui.add_button(
             "Stop and revert",
             icon=viser.Icon.ARROW_BACK_UP,
             color="gray",
             visible=False,
+            hint="Ends the run; the cameras are as before it.",
         )
         self._bar = gui.add_progress_bar(0.0, visible=False, animated=True)
         self._verdict = gui.add_html("", visible=False)
         self._accept = gui.add_button(
-            "Accept", icon=viser.Icon.CHECK, color="teal", visible=False
+            "Accept",
+            icon=viser.Icon.CHECK,
+            color="teal",
+            visible=False,
+            hint="Takes the refined cameras; Undo brings the old ones back.",
         )
         self._revert = gui.add_button(
-            "Revert", icon=viser.Icon.ARROW_BACK_UP, color="gray", visible=False
+            "Revert",
+            icon=viser.Icon.ARROW_BACK_UP,
+            color="gray",
+            visible=False,
+            hint="Leaves the cameras as they were before the run.",
         )
         self._on = gui.add_button(
-            "Go on where it was", icon=viser.Icon.PLAYER_PLAY, visible=False
+            "Go on where it was",
+            icon=viser.Icon.PLAYER_PLAY,
+            visible=False,
+            hint="Goes on with the run that was cut short.",
         )
         self._again = gui.add_button(
-            "Refine again from here", icon=viser.Icon.REPEAT, visible=False
+            "Refine again from here",
+            icon=viser.Icon.REPEAT,
+            visible=False,
+            hint="Takes the refined cameras, and starts another run from them.",
         )
         self._report = gui.add_button(
             "Download report",
             icon=viser.Icon.FILE_DOWNLOAD,
             color="gray",
             visible=False,
+            hint="This run as one HTML file, with its pictures and figures.",
         )
         self._text = gui.add_markdown("")
         self._freedom = FreedomPanel(gui, conductor.session)

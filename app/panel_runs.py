@@ -23,11 +23,17 @@ class RunsPanel:
         with self._folder:
             self._table = gui.add_markdown("")
             self._choice: viser.GuiDropdownHandle[str] = gui.add_dropdown(
-                "Run", [NOTHING]
+                "Run", [NOTHING], hint="One of the runs in the table."
             )
-            self._look = gui.add_button("Look at it", icon=viser.Icon.EYE)
+            self._look = gui.add_button(
+                "Look at it",
+                icon=viser.Icon.EYE,
+                hint="Shows its cameras; you may accept them, or leave all as it is.",
+            )
             self._other: viser.GuiDropdownHandle[str] = gui.add_dropdown(
-                "Compare with", [ITS_START]
+                "Compare with",
+                [ITS_START],
+                hint="What is left of the line in the picture at the left.",
             )
 
         @self._look.on_click

@@ -23,6 +23,7 @@ from app.controls import BRAND, guarded, guarded_client, notify, put, report
 from app.doors import Doors, start_viser
 from app.hands import Hands
 from app.help import Help
+from app.hints import button_hints
 from app.meter import meter_html
 from app.panel_align import AlignPanel
 from app.panel_data import DataPanel
@@ -159,6 +160,7 @@ class Page:
         # viser's types know of no asynchronous listener; viser itself does.
         self.server.scene.on_click()(cast(Any, clicked))
 
+        gui.add_html(button_hints(gui))
         self._view_order = align.view_order
         self._command("Undo", "cmd/ctrl", self.session.undo)
         self._command("Redo", "cmd/ctrl+shift", self.session.redo)

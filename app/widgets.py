@@ -33,6 +33,8 @@ class Option(NamedTuple):
     label: str
     help: str = ""
     enabled: bool = True
+    title: str = ""
+    """What pointing at it tells, where that is not its help."""
 
 
 class Tool(NamedTuple):
@@ -98,7 +100,7 @@ class Choice:
                 _sending(self._act, key),
                 option.label,
                 f'role="radio" aria-checked="{str(key == value).lower()}" '
-                f'title="{html.escape(_plain(option.help))}"',
+                f'title="{html.escape(option.title or _plain(option.help))}"',
                 (SELECTED if key == value else "")
                 + (";padding:4px 3px" if is_tight else ""),
                 option.enabled,

@@ -58,6 +58,20 @@
     box.select();
   };
 
+  // viser's buttons do not show their hints: each has it as its title once it appears.
+  let hints = {};
+  const showHints = () => {
+    for (const [id, hint] of Object.entries(hints)) {
+      const button = document.getElementById(id);
+      if (button && button.title !== hint) button.title = hint;
+    }
+  };
+  photoreg.define("hints", (element) => {
+    hints = JSON.parse(element.dataset.hints);
+    showHints();
+  });
+  new MutationObserver(showHints).observe(document.body, { childList: true, subtree: true });
+
   // Files: each goes through viser's hidden upload input, one after the other.
   let sending = null; // the name of the file on its way
   const later = (ms) => new Promise((ok) => setTimeout(ok, ms));

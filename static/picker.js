@@ -51,12 +51,12 @@
       <button data-mode="in" aria-pressed="false" title="Paint back what shall count">Bring back</button>
       <span style="flex:1"></span>
       <button data-do="fit" title="The whole photo">Fit</button>
-      <button data-do="less" aria-label="Zoom out">−</button>
-      <button data-do="more" aria-label="Zoom in">+</button>
+      <button data-do="less" aria-label="Zoom out" title="Zoom out">−</button>
+      <button data-do="more" aria-label="Zoom in" title="Zoom in">+</button>
       <button data-do="large" title="Large, beside the model">⤢</button>
     </div>
     <div class="pr-bar pr-brush" style="display:none">Brush
-      <input type="range" min="0" max="100" value="55" aria-label="Brush size">
+      <input type="range" min="0" max="100" value="55" aria-label="Brush size" title="How wide the brush paints">
       <button data-do="clear" title="The whole photo counts again">Clear mask</button>
     </div>
     <div class="pr-view" tabindex="0"><canvas></canvas><div class="pr-marks"></div>

@@ -1,14 +1,24 @@
 """The page, piece by piece, with real mouse and keyboard."""
 
+import re
 import socket
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import viser
 
+from app.compare_view import swipe_html
 from app.server import Page
 from app.session import with_document, with_entry
-from app.state import same_camera
+from app.state import PointPair, same_camera
+from app.widgets import HELP
 from tests.browser.driver import wait_until
+
+SCRIPTS = Path(__file__).parents[2] / "static"
+NO_INPUT = (viser.GuiHtmlHandle, viser.GuiMarkdownHandle)
 
 
 @pytest.fixture(scope="module")
@@ -139,6 +149,70 @@ def test_a_typed_focal_length_out_of_range_is_refused_with_a_sentence(
     box.fill("-4")
     driver.page.get_by_text("A focal length for this photo should be").wait_for()
     assert app.state.document.photos[0].camera.focal_px == pytest.approx(250.0)
+
+
+def rows(app) -> Iterator[list[Any]]:
+    """The contents of each panel, tab and folder, from top to bottom."""
+    apis = [
+        app.page.server.gui,
+        *(c.gui for c in app.page.server.get_clients().values()),
+    ]
+    for gui in apis:
+        for container in gui._container_handle_from_uuid.values():
+            children = list(getattr(container, "_children", {}).values())
+            yield sorted(children, key=lambda handle: getattr(handle, "order", 0.0))
+
+
+def htmls(app) -> list[str]:
+    return [
+        handle.content
+        for row in rows(app)
+        for handle in row
+        if isinstance(handle, viser.GuiHtmlHandle)
+    ]
+
+
+def is_help(handle: Any) -> bool:
+    """Whether it is a line in small print, or in italics."""
+    if isinstance(handle, viser.GuiHtmlHandle):
+        return HELP in handle.content
+    return isinstance(handle, viser.GuiMarkdownHandle) and handle.content.startswith(
+        "*"
+    )
+
+
+def test_every_control_of_viser_has_a_hint_or_a_line_of_help_below(app):
+    labels, without = [], []
+    for row in rows(app):
+        for handle, below in zip(row, [*row[1:], None], strict=True):
+            if isinstance(handle, NO_INPUT) or not hasattr(handle, "hint"):
+                continue
+            if handle.label in ("page", "Files"):
+                continue  # Nobody sees these two: they carry messages and files.
+            labels.append(handle.label)
+            if not (handle.hint or is_help(below)):
+                without.append(handle.label)
+    assert {"Solve", "Refine", "Zoom", "Dark page", "Load a mask"} <= set(labels)
+    assert len(labels) > 60, f"only {len(labels)} controls were looked at"
+    assert not without, f"without a line of help: {without}"
+    assert all(label[0].isupper() or label[0].isdigit() for label in labels)
+
+
+def test_every_control_of_ours_tells_what_it_does(app):
+    pair = PointPair(1, pixel=(3.0, 4.0))
+    app.session.change("Point", with_entry(app.state.selected, pairs=(pair,)))
+    wait_until(
+        lambda: any("Delete point 1" in text for text in htmls(app)),
+        "the table of pairs is painted",
+    )
+    scripts = [path.read_text() for path in SCRIPTS.glob("*.js")]
+    texts = [*htmls(app), swipe_html(b"", b"", "start"), *scripts]
+    tags = [
+        tag for text in texts for tag in re.findall(r"<(?:button|input) [^>]*>", text)
+    ]
+    assert len(tags) > 50, f"only {len(tags)} controls were looked at"
+    without = [tag for tag in tags if not re.search(r'\btitle="[^"]', tag)]
+    assert not without, "\n".join(without)
 
 
 def handshake(port: int, origin: str | None, host: str | None = None) -> str:

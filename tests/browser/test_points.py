@@ -54,7 +54,9 @@ def test_six_pairs_clicked_in_photo_and_model_place_the_camera(app, toy_document
     clicked = np.array([pair.pixel for pair in entry_of(app).pairs])
     off = np.abs(clicked - [pixel for _, pixel in places]).max()
     assert off < 0.5, f"a click lands {off:.2f} px off"
-    driver.click("Solve")
+    solve = driver.page.get_by_role("button", name="Solve", exact=True)
+    assert "points fit best" in (solve.get_attribute("title") or ""), "its line of help"
+    solve.click()
     wait_until(lambda: app.state.undo_name == "Solve camera 1", "it is solved", 30)
     assert error_px() < 1.0 < 5.0 < before, f"{before:.1f} to {error_px():.2f} px"
 
