@@ -244,8 +244,7 @@ class Conductor:
             self._set(job=None)
         if event.job == Refine.__name__:
             self.session.change(
-                None,
-                lambda state: outcomes.broken_off(state, event.message, keep=False),
+                None, lambda state: outcomes.broken_off(state, "The refinement failed")
             )
         self.on_problem(event.message)
 
@@ -256,20 +255,27 @@ class Conductor:
         state = self.session.state
         job = state.job if self.intake.is_busy else None
         self._set(job=job, worker="Starting the engine again")
-        what = state.job.title if state.job is not None and job is None else None
         if state.run.is_active:
-            what = "The refinement"
             self.session.change(
-                None,
-                lambda state: outcomes.broken_off(
-                    state, "The engine died; this is the best until then.", keep=True
-                ),
+                None, lambda state: outcomes.broken_off(state, "The engine died")
             )
-        if what is not None:
-            self.on_problem(
-                f"{what} was cut short: the engine process died. It is being started "
-                "again; the best so far is kept."
+            now = self.session.state
+            self._tell_of_death(
+                "The refinement",
+                "Tab 3 has it as it was, to go on with."
+                if now.can_go_on
+                else "Its best is in tab 3."
+                if now.run.status == "review"
+                else "Nothing has changed.",
             )
+        elif state.job is not None and job is None:
+            self._tell_of_death(state.job.title, "Nothing has changed.")
+
+    def _tell_of_death(self, what: str, rest: str) -> None:
+        self.on_problem(
+            f"{what} was cut short: the engine process died. It is being started "
+            f"again. {rest}"
+        )
 
     # What follows from a change of state.
 

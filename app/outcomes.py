@@ -180,12 +180,19 @@ def ended(state: State, event: Refined) -> State:
     return kept(state, run)
 
 
-def broken_off(state: State, outcome: str, keep: bool) -> State:
-    """The run ended by a failure: the best so far waits, or all is as before."""
-    run = state.run
+def broken_off(state: State, outcome: str) -> State:
+    """The run ended by a failure: it waits as it was; one that did nothing is gone.
+
+    ``outcome`` is what happened, and is continued: "The engine died".
+    """
+    run, search = state.run, state.kept_search
     if not run.is_active:
         return state
-    if not keep or not has_moved(run):
+    if has_moved(run):
+        outcome += "; this is the best until then."
+    elif search is not None and search.run == run.number:
+        outcome += " before anything better than the start was found."
+    else:
         return dataclasses.replace(state, run=Run(), kept_search=None)
     return kept(state, dataclasses.replace(run, outcome=outcome))
 

@@ -92,7 +92,8 @@ class Crash:
         self._random = random.Random(seed)
         self._done: dict[int, str] = {}
         self.n_server_kills = self.n_worker_kills = self.n_in_run = 0
-        self.n_steps = self.n_shown = self.n_runs_resumable = 0
+        self.n_steps = self.n_shown = 0
+        self.n_runs = self.n_runs_resumable = self.n_runs_ended = 0
         self.lost: list[str] = []
 
     def one_life(self) -> None:
@@ -158,7 +159,8 @@ class Crash:
             return
         state, n = session.state, count(session.state)
         self.n_in_run += has_run
-        self.n_runs_resumable += state.can_go_on
+        if has_run and shown is not None and shown["under_way"]:
+            self._look_for_run(state, shown["under_way"])
         if at_least is not None and n < at_least:
             self.lost.append(
                 f"life {self.n_server_kills}: step {at_least} was shown, {n} is kept"
@@ -172,14 +174,30 @@ class Crash:
                 f"life {self.n_server_kills}: runs {sorted(gone)} are gone"
             )
 
+    def _look_for_run(self, state: State, number: int) -> None:
+        """A run that was shown at work can go on, if it has not come to its end."""
+        can_go_on = state.can_go_on and state.run.number == number
+        has_ended = any(
+            run.number == number and run.start_cost is not None for run in state.runs
+        )
+        self.n_runs += 1
+        self.n_runs_resumable += can_go_on
+        self.n_runs_ended += has_ended
+        if not can_go_on and not has_ended:
+            self.lost.append(
+                f"life {self.n_server_kills}: run {number} cannot go on, it is "
+                f"{state.run.status}"
+            )
+
     def summary(self, seconds: float) -> str:
         """What was done and found, in a few lines."""
         lines = [
             f"{self.n_server_kills} kills of the server and {self.n_worker_kills} of the "
             f"worker in {seconds / 60:.1f} min; {self.n_in_run} servers had a refinement "
             f"under way.",
-            f"{self.n_steps} steps done, {self.n_shown} states shown; afterwards "
-            f"{self.n_runs_resumable} refinements could go on where they were.",
+            f"{self.n_steps} steps done, {self.n_shown} states shown; of {self.n_runs} "
+            f"refinements that were shown at work {self.n_runs_resumable} could go on "
+            f"where they were and {self.n_runs_ended} had come to their end.",
             f"Lost: {len(self.lost)}.",
             *self.lost,
         ]
@@ -234,7 +252,12 @@ class Witness:
         """Tells it, unless the page says that it is still being kept."""
         if "Keeping your work" in self._page._status.content:
             return
-        about = {"runs": [run.number for run in state.runs]}
+        run = state.run
+        is_under_way = (run.is_active and bool(run.curve)) or state.can_go_on
+        about = {
+            "runs": [ended.number for ended in state.runs],
+            "under_way": run.number if is_under_way else 0,
+        }
         tell(self._told, f"shown {count(state)} {json.dumps(about)}")
         if state.run.curve and state.run.is_active:
             tell(self._told, "course")

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app import photo_list
+from app import outcomes, photo_list
 from app import session as rules
-from app.run import Run, Status
+from app.run import KeptSearch, Run, Status
 from app.session import Session
 from app.state import Agreement, Document, PhotoEntry, State, same_camera
 from app.warm_up import toy_scene
@@ -251,3 +251,24 @@ def test_what_was_measured_does_not_outlive_its_scene(session):
     session.change("Leave out", rules.with_entry(1, enabled=False))
     assert session.state.agreement is None
     assert session.state.run.error_px is None
+
+
+def test_a_run_whose_engine_dies_can_go_on_however_early_it_was(session):
+    cameras = session.state.document.used_cameras
+    run = Run("running", 4, photo_names=("a", "b"), start=cameras, cameras=cameras)
+    session.change(None, rules.setting(run=run))
+
+    def died(**more: Any) -> State:
+        state = dataclasses.replace(session.state, **more)
+        return outcomes.broken_off(state, "The engine died")
+
+    assert died().run.status == "idle", "nothing was done yet"
+    early = died(kept_search=KeptSearch(4, 0, b"where it stands"))
+    assert early.can_go_on
+    assert early.run.outcome.startswith("The engine died before anything better")
+    assert [run.number for run in early.runs] == [4]
+    better = dataclasses.replace(run, cameras=(moved(cameras[0], 0.1), *cameras[1:]))
+    late = died(run=better)
+    assert late.run.status == "review"
+    assert not late.can_go_on, "it was never told where it stands"
+    assert late.run.outcome == "The engine died; this is the best until then."

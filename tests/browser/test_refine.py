@@ -178,6 +178,8 @@ def test_a_killed_worker_costs_no_work_and_the_next_run_ends(app):
     wait_until(lambda: app.state.run.status == "review", "the page knows", 5)
     assert "died" in app.state.run.outcome
     assert app.state.run.cameras
+    app.driver.page.get_by_text("Tab 3 has it as it was").wait_for()
+    app.driver.page.get_by_role("button", name="Go on where it was").wait_for()
     drop(app)
     start(app, "fast", hold=False)
     to_its_end(app)
