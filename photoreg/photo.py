@@ -2,6 +2,7 @@
 
 import dataclasses
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -16,6 +17,9 @@ from photoreg.sources import SourceFile, source_file
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 MIN_SIDE_PX = 16
+
+STRIP_ROWS = 256
+"""Rows that are converted at once."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -113,11 +117,11 @@ def load_photo(path: Path | str, limits: Limits | None = None) -> Photo:
                         f"is {limits.photo_megapixels:g} megapixels. Reduce it first."
                     )
                 focal_px = _exif_focal_px(image)
-                upright = ImageOps.exif_transpose(image)
+                ImageOps.exif_transpose(image, in_place=True)
                 return Photo(
                     path.name,
-                    _srgb_bytes(upright, path.name),
-                    _alpha_mask(upright),
+                    _srgb_bytes(image, path.name),
+                    _alpha_mask(image),
                     focal_px,
                     source_file(path),
                 )
@@ -136,30 +140,48 @@ def load_photo(path: Path | str, limits: Limits | None = None) -> Photo:
 
 
 def _srgb_bytes(image: Image.Image, name: str) -> np.ndarray:
-    if image.mode.startswith("I") or image.mode == "F":
-        # Pillow's own conversion would clip, not scale.
-        grey = np.asarray(image, dtype=np.float32)
-        lowest, highest = float(grey.min()), float(grey.max())
-        if not np.isfinite([lowest, highest]).all():
-            raise InputError(
-                f"{name} has pixels that are not finite numbers. Save it with whole "
-                "numbers, of 8 or 16 bits."
-            )
-        if image.mode == "F" and highest <= 1.0:
-            top = 1.0
-        else:
-            is_deep = image.mode.startswith("I;16") or highest > 255.0
-            top = 65535.0 if is_deep else 255.0
-        grey_bytes = np.clip(np.rint(grey / top * 255.0), 0, 255).astype(np.uint8)
-        return np.repeat(grey_bytes[:, :, None], 3, axis=2)
-    return np.array(image.convert("RGB"), dtype=np.uint8)
+    pixels = np.zeros((image.height, image.width, 3), dtype=np.uint8)
+    if not (image.mode.startswith("I") or image.mode == "F"):
+        for rows, strip in _strips(image):
+            pixels[rows] = np.asarray(strip.convert("RGB"))
+        return pixels
+    # Pillow's own conversion would clip, not scale.
+    ranges = [_range(np.asarray(strip)) for _, strip in _strips(image)]
+    lowest, highest = np.min(ranges), np.max(ranges)
+    if not np.isfinite([lowest, highest]).all():
+        raise InputError(
+            f"{name} has pixels that are not finite numbers. Save it with whole "
+            "numbers, of 8 or 16 bits."
+        )
+    if image.mode == "F" and highest <= 1.0:
+        top = 1.0
+    else:
+        is_deep = image.mode.startswith("I;16") or highest > 255.0
+        top = 65535.0 if is_deep else 255.0
+    for rows, strip in _strips(image):
+        grey = np.asarray(strip, dtype=np.float32)
+        pixels[rows] = np.clip(np.rint(grey / top * 255.0), 0, 255)[:, :, None]
+    return pixels
+
+
+def _range(grey: np.ndarray) -> tuple[float, float]:
+    return float(grey.min()), float(grey.max())
 
 
 def _alpha_mask(image: Image.Image) -> np.ndarray | None:
     if "A" not in image.getbands() and "transparency" not in image.info:
         return None
-    mask = np.asarray(image.convert("RGBA"))[:, :, 3] >= 128
+    mask = np.zeros((image.height, image.width), dtype=bool)
+    for rows, strip in _strips(image):
+        mask[rows] = np.asarray(strip.convert("RGBA"))[:, :, 3] >= 128
     return None if mask.all() else mask
+
+
+def _strips(image: Image.Image) -> Iterator[tuple[slice, Image.Image]]:
+    """The picture in pieces from its top: whole, each conversion is one more copy."""
+    for top in range(0, image.height, STRIP_ROWS):
+        bottom = min(top + STRIP_ROWS, image.height)
+        yield slice(top, bottom), image.crop((0, top, image.width, bottom))
 
 
 def _exif_focal_px(image: Image.Image) -> float | None:
