@@ -65,7 +65,7 @@ def turn_to_see(app: App, camera: Camera) -> None:
     frame, up = app.page.scene.frame, np.array(document.up)
     middle = frame.to_page(document.mesh.bounds.mean(axis=0))
     wanted = frame.to_page(camera.center) - middle
-    for _ in range(4):
+    for _ in range(12):
         position, _, _ = driver.viewport_camera()
         away = position - middle
         level = away - up * (away @ up)
@@ -80,6 +80,7 @@ def turn_to_see(app: App, camera: Camera) -> None:
         corner = canvas["x"] + (40 if across > 0 else canvas["width"] - 40)
         driver.drag((corner, canvas["y"] + 40), (float(across), float(down)))
         driver.frames(3)
+    raise AssertionError("Dragging did not turn the view to the photo's side.")
 
 
 def _elevation(way: np.ndarray, up: np.ndarray) -> float:
