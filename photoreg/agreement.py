@@ -59,9 +59,14 @@ class Disagreement:
 
     @property
     def total(self) -> float:
-        """One number to compare by: mean of the colours plus mean of the outlines."""
+        """One number to compare by: geometric mean of colours' and outlines' means.
+
+        The noise of neither is known, and then the likelihood of cameras falls with
+        the logarithms of both. Their sum would not: an outline that is rough everywhere
+        hides colours that halve, and half a pixel with them.
+        """
         colour = float(np.mean(list(self.colours.values()))) if self.colours else 1.0
-        return colour + float(np.mean(self.outlines))
+        return float(np.sqrt(colour * np.mean(self.outlines)))
 
     def typical_colour_of(self, photo: int) -> float:
         """Typical colours of the pair of ``photo`` that agrees best; 1: no pair."""

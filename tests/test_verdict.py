@@ -75,3 +75,10 @@ def test_a_doubtful_end_is_the_first_of_the_warnings(polish_after):
     assert last.verdict is not None
     assert last.verdict.grade == "unconvincing", last.cost
     assert last.warnings[0] == last.verdict.sentence
+
+
+def test_half_a_pixel_is_not_lost_in_the_roughness_of_outlines():
+    """Measured on a shell: a search 0.56 px off, and its polish 0.07 px off."""
+    searched = Disagreement({(0, 1): 0.0047}, {(0, 1): 0.0047}, (0.0553, 0.0484))
+    polished = Disagreement({(0, 1): 0.0024}, {(0, 1): 0.0024}, (0.0541, 0.0546))
+    assert polished.total < searched.total
