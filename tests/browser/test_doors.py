@@ -245,6 +245,9 @@ def test_in_chromium_a_wrong_token_meets_the_door_and_the_right_one_opens(
     answer = page.goto(f"http://127.0.0.1:{guarded.port}/?token=wrong")
     assert answer is not None
     assert answer.status == 403
+    assert page.get_by_role("alert").inner_text() == "That is not its token."
+    page.goto(f"http://127.0.0.1:{guarded.port}/")
+    assert page.get_by_role("alert").count() == 0, "nobody has given one yet"
     page.get_by_label("Token").fill(TOKEN)
     page.get_by_role("button", name="Come in").click()
     page.get_by_role("tab", name="1 Data").wait_for(timeout=60_000)
