@@ -82,7 +82,7 @@ def disagreement(
     """Colours that differ on the surface, and rims off the photos' edges."""
     small = [_reduced(camera) for camera in cameras]
     views = surface_views(mesh, small)
-    n_pairs = max(1, len(photos) * (len(photos) - 1) // 2)
+    pairs = [(i, k) for k in range(len(photos)) for i in range(k)]
 
     def shared_points(pair: tuple[int, int]) -> PairPoints:
         i, k = pair
@@ -90,21 +90,17 @@ def disagreement(
             mesh,
             (photos[i], photos[k]),
             (views[i], views[k]),
-            max(MIN_POINTS, N_POINTS // n_pairs),
+            max(MIN_POINTS, N_POINTS // len(pairs)),
             CELL_PX,
             EDGE_MARGIN_PX,
             min_cosine,
             seed=0,
         )
 
-    def outline_share(photo: Photo, view: SurfaceView) -> float:
-        return _outline_share(mesh, photo, view)
-
-    pairs = [(i, k) for k in range(len(photos)) for i in range(k)]
     with concurrent.futures.ThreadPoolExecutor() as threads:
         surfaces = threads.map(shared_points, pairs)
         images = threads.map(prepare_photo, photos, views, itertools.repeat(BLUR_PX))
-        outlines = threads.map(outline_share, photos, views)
+        outlines = threads.map(_outline_share, itertools.repeat(mesh), photos, views)
         surfaces, images, outlines = list(surfaces), list(images), tuple(outlines)
     colours, typical_colours = {}, {}
     for (i, k), surface in zip(pairs, surfaces, strict=True):

@@ -326,7 +326,8 @@ def _terms(
         )
         blurs.append(sigma / reduction)
     views = surface_views(mesh, small)
-    pairs = [(i, k) for k in range(len(photos)) for i in range(k)]
+    n_compared = len(photos) if config.use_colour else 0
+    pairs = [(i, k) for k in range(n_compared) for i in range(k)]
 
     def rim_term(i: int) -> RimTerm | None:
         return _rim_term(mesh, photos[i], views[i], i, increments[i], level, config)
@@ -345,13 +346,14 @@ def _terms(
         )
 
     with concurrent.futures.ThreadPoolExecutor() as threads:
-        colour, rims = config.use_colour, config.use_silhouette
-        surfaces = threads.map(shared_points, pairs if colour else [])
-        images = threads.map(prepare_photo, photos, views, blurs) if colour else []
-        found = threads.map(rim_term, range(len(photos)) if rims else [])
+        surfaces = threads.map(shared_points, pairs)
+        images = threads.map(prepare_photo, photos, views, blurs) if pairs else []
+        found = threads.map(
+            rim_term, range(len(photos) if config.use_silhouette else 0)
+        )
         surfaces, images = list(surfaces), list(images)
         terms: list[PairTerm | RimTerm] = [t for t in found if t is not None]
-    for (i, k), surface in zip(pairs, surfaces, strict=False):
+    for (i, k), surface in zip(pairs, surfaces, strict=True):
         if len(surface.points) < 200:
             continue
         seen = float(views[i].covered.sum())

@@ -134,7 +134,7 @@ def hundred_megapixels_of_16_bits(path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "make", "expected", "most_mb"),
     [
-        # Measured: 876 (PLY) to 1640 MB (OFF).
+        # Measured: 690 (PLY) to 1640 MB (OFF).
         *(
             (f"m.{suffix}", two_million_faces, "read: 2000000 triangles", 2500)
             for suffix in ("obj", "ply", "stl", "glb", "off")

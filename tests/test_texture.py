@@ -31,7 +31,7 @@ from tests.painted import (
     photograph,
     render_textured,
 )
-from tests.third_view import likeness
+from tests.third_view import likeness, third_camera
 
 
 @pytest.fixture(scope="module")
@@ -437,18 +437,13 @@ def test_baking_tells_its_steps_and_ends_with_the_model(mesh, photos, cameras):
 def test_refined_cameras_cost_little_of_the_likeness():
     """Views that no photo had, against the true render: PSNR and SSIM."""
     scene = make_scene(SceneOptions("clean", seed=3, width=512, height=384))
-    left, right = scene.cameras
     *_, last = refine(scene.mesh, scene.photos, scene.rough_cameras)
     textures = [
         bake_texture(scene.mesh, scene.photos, cameras)
         for cameras in (scene.cameras, last.cameras)
     ]
-    for view in (0.5, 1.4):  # between the photos, and beside them
-        center = (1.0 - view) * left.center + view * right.center
-        center = center + 0.03 * scene.mesh.diagonal * left.R_cam_world[1]
-        camera = Camera.look_at(
-            center, scene.mesh.centroid, [0, 0, 1], left.focal_px, 512, 384
-        )
+    for way in (0.5, 1.4):  # between the photos, and beside them
+        camera = third_camera(scene, way)
         truth = scene.render(camera)
         true, refined = (likeness(texture, camera, truth) for texture in textures)
         assert true.n_pixels > 10_000

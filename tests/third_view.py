@@ -8,6 +8,7 @@ from skimage.metrics import structural_similarity
 from photoreg.camera import Camera
 from photoreg.mesh import Mesh
 from photoreg.render import Hits, decode_srgb, encode_srgb, render_linear
+from photoreg.synthetic import Scene
 from photoreg.texture import TexturedMesh
 
 
@@ -19,6 +20,16 @@ class Likeness:
     ssim: float
     n_pixels: int
     """Pixels compared."""
+
+
+def third_camera(scene: Scene, way: float) -> Camera:
+    """A camera that took no photo, from the left one (``way`` 0) to the right one (1)."""
+    left, right = scene.cameras
+    center = (1.0 - way) * left.center + way * right.center
+    center = center + 0.03 * scene.mesh.diagonal * left.R_cam_world[1]
+    return Camera.look_at(
+        center, scene.mesh.centroid, [0, 0, 1], left.focal_px, left.width, left.height
+    )
 
 
 def bilinear(picture: np.ndarray, uv: np.ndarray) -> np.ndarray:

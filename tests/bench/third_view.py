@@ -17,7 +17,7 @@ from photoreg.scene_options import SceneOptions
 from photoreg.synthetic import make_scene
 from photoreg.texture import bake_texture
 from tests.bench.metrics import Metric, Setting, bench
-from tests.third_view import Likeness, likeness
+from tests.third_view import Likeness, likeness, third_camera
 
 VIEWS = {
     "granite": ("IMG_3028.jpg", "IMG_3030.jpg", "IMG_3029.jpg"),
@@ -29,10 +29,8 @@ MIN_PSNR_DB = 30.0
 MAX_LOSS_DB = 1.0
 """Refined cameras may cost so much of what the true ones give."""
 
-
 MADE_VIEWS = {"between": 0.5, "beside": 1.4}
-"""Where the camera of no photo stands on the made scene: from the left photo's camera
-(0) to the right one's (1), and beyond."""
+"""Where the camera of no photo stands: ``third_camera``'s ``way``."""
 
 
 @bench
@@ -51,26 +49,13 @@ def third_view(setting: Setting) -> Iterator[Metric]:
 
 def _made() -> Iterator[Metric]:
     scene = make_scene(SceneOptions("clean", seed=3))
-    left, right = scene.cameras
     *_, last = refine(scene.mesh, scene.photos, scene.rough_cameras)
-    views = {
-        name: Camera.look_at(
-            (1.0 - way) * left.center
-            + way * right.center
-            + 0.03 * scene.mesh.diagonal * left.R_cam_world[1],
-            scene.mesh.centroid,
-            [0, 0, 1],
-            left.focal_px,
-            left.width,
-            left.height,
-        )
-        for name, way in MADE_VIEWS.items()
-    }
     true, refined = (
         bake_texture(scene.mesh, scene.photos, cameras)
         for cameras in (scene.cameras, last.cameras)
     )
-    for name, view in views.items():
+    for name, way in MADE_VIEWS.items():
+        view = third_camera(scene, way)
         truth = scene.render(view)
         exact = likeness(true, view, truth)
         yield _figure(f"made.{name}.true", exact, MIN_PSNR_DB)
