@@ -31,6 +31,7 @@ from photoreg.errors import PhotoregError
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from tests import lying_archives, lying_cameras, lying_input, lying_meshes, lying_photos
+from tests.memory import peak_memory_gb
 
 EXAMPLES = 200
 """Files a round; rounds go on until the time is up."""
@@ -253,10 +254,9 @@ def fuzz(name: str, seconds: float) -> int:
             one_round()
         except Exception as error:  # noqa: BLE001 - this is what it looks for.
             failure = error
-    memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
     print(
         f"{name:12} {sum(counts.values()):7} files, {counts['read']:6} of them read; "
-        f"largest memory {memory_mb} MB"
+        f"largest memory {1000 * peak_memory_gb():.0f} MB"
     )
     if failure is not None:
         print(f"{type(failure).__name__}: {failure}")

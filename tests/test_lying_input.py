@@ -158,11 +158,10 @@ def test_large_files_are_read_in_bounded_memory(
     code = (
         "import sys; from pathlib import Path; "
         "from photoreg.limits import Limits; from tests import lying_input; "
+        "from tests.memory import peak_memory_gb; "
         "lying_input.LIMITS = Limits(); "
         "print(lying_input.described(lying_input.read_path(Path(sys.argv[1])))); "
-        # Not by getrusage: a new program inherits the peak of the one that starts it.
-        "status = Path('/proc/self/status').read_text(); "
-        "print(int(status.partition('VmHWM:')[2].split()[0]) // 1024)"
+        "print(round(1000 * peak_memory_gb()))"
     )
     done = subprocess.run(
         [sys.executable, "-c", code, tmp_path / name],

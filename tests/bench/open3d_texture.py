@@ -1,15 +1,16 @@
 """Run by the bench in a process of its own: Open3D lays the same photos onto a mesh.
 
-Usage: open3d_texture.py SCENE.npz; prints seconds and memory as JSON.
+Usage: python -m tests.bench.open3d_texture SCENE.npz; prints seconds and memory as JSON.
 """
 
 import importlib
 import json
-import resource
 import sys
 import time
 
 import numpy as np
+
+from tests.memory import peak_memory_gb
 
 o3d = importlib.import_module("open3d")
 scene = np.load(sys.argv[1])
@@ -28,5 +29,5 @@ lenses = [o3d.core.Tensor(K) for K in scene["K"]]
 began, began_cpu = time.perf_counter(), time.process_time()
 mesh.project_images_to_albedo(photos, lenses, poses, int(scene["size"]))
 seconds, cpu_s = time.perf_counter() - began, time.process_time() - began_cpu
-peak_gb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-print(json.dumps({"bake_s": seconds, "bake_cpu_s": cpu_s, "peak_gb": peak_gb}))
+figures = {"bake_s": seconds, "bake_cpu_s": cpu_s, "peak_gb": peak_memory_gb()}
+print(json.dumps(figures))

@@ -5,7 +5,6 @@ Prints cameras to the last bit, time and peak memory as one line of JSON.
 
 import dataclasses
 import json
-import resource
 import sys
 from typing import Any
 
@@ -20,6 +19,7 @@ from photoreg.photo import Photo
 from photoreg.registration import RegistrationConfig
 from tests.bench.outcomes import Outcome, run
 from tests.bench.worlds import World, world
+from tests.memory import peak_memory_gb
 
 SCALED_FROM = 1500
 """Large photos are drawn at this width and enlarged: the renderer is not what is
@@ -54,7 +54,7 @@ def main(task: dict[str, Any]) -> dict[str, Any]:
             phase: round(seconds, 2)
             for phase, seconds in outcome.finished.seconds_by_phase.items()
         },
-        "peak_gb": _peak_gb(),
+        "peak_gb": peak_memory_gb(),
         "n_faces": len(mesh.faces),
         "cameras": [_bits(camera) for camera in outcome.finished.cameras],
     }
@@ -73,13 +73,6 @@ def _refined(scene: World) -> Outcome:
 def _bits(camera: Camera) -> str:
     parts = (camera.K, camera.R_cam_world, camera.t_cam_world)
     return b"".join(np.ascontiguousarray(part).tobytes() for part in parts).hex()
-
-
-def _peak_gb() -> float:
-    """Most memory this process has held so far."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    # Linux counts in KiB, macOS in bytes.
-    return peak * (1 if sys.platform == "darwin" else 1024) / 1e9
 
 
 def _enlarged(scene: World, ratio: float) -> World:

@@ -6,7 +6,6 @@ Each measurement is a process of its own, so that its peak of memory is its own:
 
 import json
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -24,6 +23,7 @@ from photoreg.photo import Photo
 from photoreg.rock import rock_mesh
 from photoreg.texture import TextureConfig, bake_texture, baking
 from tests.bench.metrics import Metric, Setting, bench
+from tests.memory import peak_memory_gb
 
 ROOT = Path(__file__).parents[2]
 INTEROP = ROOT / ".venv" / "interop" / "bin" / "python"
@@ -41,8 +41,8 @@ def texture(setting: Setting) -> Iterator[Metric]:
         scene = Path(folder) / "scene.npz"
         yield from _figures("texture.usual", _measure(*USUAL, scene), 6.0, 4.0)
         if INTEROP.is_file():
-            program = Path(__file__).with_name("open3d_texture.py")
-            theirs = _run([str(INTEROP), str(program), str(scene)])
+            program = "tests.bench.open3d_texture"
+            theirs = _run([str(INTEROP), "-m", program, str(scene)])
             note = "Open3D, project_images_to_albedo, the same mesh, UVs and cameras"
             for name, key, unit in (
                 ("time", "bake_s", "s"),
@@ -130,7 +130,7 @@ def once(faces: int, width: int, height: int, size: int, scene: str | None) -> N
         "atlas_s": atlas_s,
         "bake_s": time.perf_counter() - began,
         "bake_cpu_s": time.process_time() - began_cpu,
-        "peak_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
+        "peak_gb": peak_memory_gb(),
         "cpu_s_before_step": steps,
     }
     print(json.dumps(figures))
