@@ -88,12 +88,14 @@ class Solver:
             wanted, self._wanted = self._wanted, None
         state = self._session.state
         known, selected = state.solution, state.selected_photo
+        # By name: while a run goes on, the selected photo has another camera.
+        names = {selected and selected.name, wanted and wanted.photo}
         solutions = {
             entry.name: known
             if known is not None and known.is_of(entry)
             else solved(entry, state.document.mesh)
             for entry in state.document.photos
-            if entry is selected or (wanted is not None and entry.name == wanted.photo)
+            if entry.name in names
         }
         with self._session.lock:
             if selected is not None:

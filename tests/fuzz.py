@@ -258,8 +258,9 @@ def fuzz(name: str, seconds: float) -> int:
         f"{name:12} {sum(counts.values()):7} files, {counts['read']:6} of them read; "
         f"largest memory {1000 * peak_memory_gb():.0f} MB"
     )
-    if failure is not None:
-        print(f"{type(failure).__name__}: {failure}")
+    # Several different ones come as a group.
+    for each in getattr(failure, "exceptions", (failure,)) if failure else ():
+        print(f"{type(each).__name__}: {each}")
     return 0 if failure is None else 1
 
 

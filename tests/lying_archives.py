@@ -56,6 +56,10 @@ def zip_archive_cases() -> Iterator[Case]:
     yield Case("a file as a folder", name, named("m.ply", "m.ply/n.ply"), "unpacked")
     yield Case("a program and a page", name, named("a.exe", "b.html"), "read: nothing")
     yield Case("a zip within", name, packed({"b.zip": packed()}), "read: nothing")
+    central = packed({"é.ply": ply()}).rpartition(b"PK\1\2")
+    no_utf8 = b"".join(central[:2]) + central[2].replace("é".encode(), b"\xff\xfe")
+    yield Case("a name that is no UTF-8", name, no_utf8, "damaged")
+    yield Case("a name of no letters", name, nameless(), "read: nothing")
     link = zipfile.ZipInfo("m.ply")
     link.create_system, link.external_attr = 3, (stat.S_IFLNK | 0o777) << 16
     buffer = io.BytesIO()
@@ -78,6 +82,11 @@ def zip_archive_cases() -> Iterator[Case]:
     yield Case("a bomb that says 1 kB", name, bytes(hidden.replace(*sizes)), "damaged")
     crowd = packed({f"{i}.txt": b"" for i in range(20_001)}, zipfile.ZIP_STORED)
     yield Case("20,001 files", name, crowd, "more than 20,000 files")
+
+
+def nameless() -> bytes:
+    """A zip whose only file has a name that begins with a zero byte."""
+    return packed({"m.ply": ply()}).replace(b"m.ply", b"\0.ply")
 
 
 def of_method(number: int) -> bytes:

@@ -8,6 +8,7 @@ import pytest
 
 from app import points
 from app import session as rules
+from app.run import Run
 from app.session import Session
 from app.solver import Solver, solved
 from app.state import Document, PhotoEntry, PointPair, State, same_camera
@@ -151,6 +152,26 @@ def test_a_click_and_the_camera_that_follows_are_one_undo_step(session, document
         entry = session.state.document.photos[0]
         assert same_camera(entry.camera, wrong)
         assert len(entry.pairs) == 7
+    finally:
+        solver.close()
+
+
+def test_the_pairs_of_a_photo_selected_during_a_run_are_solved(session, document):
+    start = document.used_cameras
+    shift = np.array([0.01, 0.0, 0.0])
+    better = tuple(
+        dataclasses.replace(camera, t_cam_world=camera.t_cam_world + shift)
+        for camera in start
+    )
+    names = tuple(entry.name for entry in document.photos)
+    run = Run("running", 1, photo_names=names, start=start, cameras=better)
+    pairs = true_pairs(document.photos[1], document.mesh, 8)
+    session.change("Points", rules.with_entry(1, pairs=pairs))
+    session.change(None, rules.setting(run=run))
+    solver = Solver(session)
+    try:
+        session.change(None, rules.select(1))
+        wait_until(lambda: session.state.current_solution, "photo 2 is solved", 20)
     finally:
         solver.close()
 

@@ -12,6 +12,8 @@ from photoreg.limits import Limits
 
 COMPRESSED = (".png", ".jpg", ".jpeg", ".glb")
 MAX_MEMBERS = 20_000
+DAMAGE = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, ValueError)
+"""What zipfile raises of a damaged file; ValueError of names that are no UTF-8."""
 TOGETHER = 4
 """All files of a zip may be so many times the size of one."""
 
@@ -51,7 +53,8 @@ def unzipped(path: Path, folder: Path, wanted: Callable[[str], bool]) -> list[Pa
             members = [
                 member
                 for member in archive.infolist()
-                if not member.is_dir() and wanted(_parts(member)[-1])
+                # Not by is_dir(), which fails at a name of no letters.
+                if not member.filename.endswith("/") and wanted(_parts(member)[-1])
             ]
             if len(archive.infolist()) > MAX_MEMBERS:
                 raise InputError(f"{path.name} holds more than {MAX_MEMBERS:,} files.")
@@ -78,7 +81,7 @@ def unzipped(path: Path, folder: Path, wanted: Callable[[str], bool]) -> list[Pa
                 with archive.open(member) as source, target.open("wb") as file:
                     shutil.copyfileobj(source, file, 1 << 20)
                 unpacked.append(target)
-    except (zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError) as error:
+    except DAMAGE as error:
         raise InputError(
             f"{path.name} could not be unpacked: it is damaged, or not a zip."
         ) from error
