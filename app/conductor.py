@@ -38,6 +38,7 @@ from app.messages import (
     Stop,
     SurfaceDrawn,
     Timed,
+    Watch,
     Working,
 )
 from app.opening import demo_folder, open_folder
@@ -84,6 +85,7 @@ class Conductor:
         """Called with a sentence for everybody who looks at the page."""
         self._scene_sent: Document | None = None
         self._reach_asked: MeasureReach | None = None
+        self._is_watched = True
         self._deliver: Deliver = _drop
         # One lock for both: listeners run under the session's.
         self._lock = session.lock
@@ -182,6 +184,13 @@ class Conductor:
         finally:
             self._set(job=None)
 
+    def watch(self, on: bool) -> None:
+        """Says whether any browser looks: a run draws its pictures only then."""
+        with self._lock:
+            if on != self._is_watched:
+                self._is_watched = on
+                self.worker.send(Watch(on))
+
     def blink(self) -> None:
         """Shows the other picture of a blink, if there is one."""
         drawn = self.drawn
@@ -252,6 +261,7 @@ class Conductor:
         log.error("The worker process died (exit code %s)", event.exit_code)
         with self._lock:
             self._scene_sent = self._reach_asked = None
+            self.worker.send(Watch(self._is_watched))
         state = self.session.state
         job = state.job if self.intake.is_busy else None
         self._set(job=job, worker="Starting the engine again")

@@ -1,6 +1,10 @@
 """Pictures of a scene, drawn in the worker: overlays, comparisons, the live surface."""
 
+import contextlib
 import dataclasses
+import functools
+import os
+import sys
 import threading
 import time
 import traceback
@@ -36,6 +40,10 @@ PICTURE_SIDE_PX = 1024
 SURFACE_PERIOD_S = 0.45
 """Time between two states of the surface during a refinement."""
 
+PAINTER_NICENESS = 5
+"""By how much the painter's thread steps back behind the search's: it then draws where
+one of their cores idles, and still gets a quarter of a core where none does."""
+
 ERROR_SAMPLES = 2_000
 JPEG_QUALITY = 82
 
@@ -65,7 +73,6 @@ class Drawing:
         self._lines: SurfaceLines | None = None
         self._pair: _Drawn | None = None
         self._start: tuple[object, np.ndarray] | None = None
-        self._surface: LiveSurface | None = None
         self._truth: Truth | None = None
 
     def true_error(
@@ -149,11 +156,14 @@ class Drawing:
 
     def surface(self, cameras: tuple[Camera, ...], surface: Surface) -> SurfaceDrawn:
         """The object with photos or heat map laid on."""
-        if self._surface is None:
-            self._surface = LiveSurface(
-                self._overlay.quick_mesh, self._photos, DisplayFrame.of(self._mesh)
-            )
-        return SurfaceDrawn(self._surface.glb(cameras, surface))
+        return SurfaceDrawn(self.live_surface.glb(cameras, surface))
+
+    @functools.cached_property
+    def live_surface(self) -> LiveSurface:
+        """What draws the object; made in spare time, or when it is first shown."""
+        return LiveSurface(
+            self._overlay.quick_mesh, self._photos, DisplayFrame.of(self._mesh)
+        )
 
     def comparison(self, job: Compare) -> Compared:
         """Two sets of cameras beside each other, in every photo."""
@@ -186,6 +196,8 @@ class Painter:
     """
 
     def __init__(self, send: Callable[[Event], None]) -> None:
+        self.is_watched = True
+        """Whether anybody looks at the pictures of a run that goes on."""
         self._send = send
         self._newest: Callable[[], Iterator[Event]] | None = None
         self._surface_at = -np.inf
@@ -205,8 +217,11 @@ class Painter:
     ) -> None:
         """What to draw next, unless something newer comes first.
 
-        With ``start``, a refinement is going on, and the surface is drawn too.
+        With ``start``, a refinement is going on: the surface is drawn too, and nothing
+        if nobody looks.
         """
+        if start is not None and not self.is_watched:
+            return
 
         def draw() -> Iterator[Event]:
             is_passing = start is not None
@@ -228,6 +243,7 @@ class Painter:
             self._changed.wait_for(lambda: not self._is_busy)
 
     def _paint(self) -> None:
+        _step_back()
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._newest is not None)
@@ -255,6 +271,13 @@ class Painter:
                 # that others had the core does not count: it slows the search already.
                 spent, work = time.monotonic() - started, time.thread_time() - worked
                 time.sleep(max(period_s - spent, 1.5 * work, 0.0))
+
+
+def _step_back() -> None:
+    """Lowers the priority of the thread that calls it, where threads have their own."""
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError):
+            os.nice(PAINTER_NICENESS)
 
 
 def encode_jpeg(picture: np.ndarray) -> bytes:

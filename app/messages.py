@@ -103,6 +103,13 @@ class MeasureReach:
 
 
 @dataclasses.dataclass(frozen=True)
+class Watch:
+    """Whether anybody looks: else a refinement that runs draws no pictures."""
+
+    on: bool
+
+
+@dataclasses.dataclass(frozen=True)
 class Pause:
     """Halt the refinement where it is."""
 
@@ -355,6 +362,7 @@ Job = (
     | Bake
     | Pack
     | OverlayView
+    | Watch
     | Pause
     | Resume
     | Stop

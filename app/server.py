@@ -91,6 +91,7 @@ class Page:
         session.listen(lambda *_: self._wake.set())
         conductor.on_picture = self.projects.on_change = self._wake.set
         conductor.on_problem = self._tell_everybody
+        conductor.watch(False)
         self.server.on_client_connect(guarded_client(self._on_connect))
         self.server.on_client_disconnect(guarded_client(self._on_disconnect))
         self._paint()
@@ -289,12 +290,14 @@ class Page:
             panel = ViewPanel(viewport, self.conductor, self._bus, self._view_order)
         self._viewports[client.client_id] = viewport
         self._view_panels[client.client_id] = panel
+        self.conductor.watch(True)
         self.projects.wait()
         viewport.show(self.session.state)
         panel.show(self.session.state)
 
     def _on_disconnect(self, client: viser.ClientHandle) -> None:
         self._viewports.pop(client.client_id, None)
+        self.conductor.watch(bool(self._viewports))
         panel = self._view_panels.pop(client.client_id, None)
         if panel is not None:
             panel.forget()

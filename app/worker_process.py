@@ -33,9 +33,10 @@ from app.messages import (
     SetScene,
     Stop,
     Timed,
+    Watch,
     Working,
 )
-from app.refining import Refining
+from app.refining import Preparation, Refining
 from app.timing import measure_speed
 from app.warm_up import warm_up_steps
 from photoreg.box_reach import box_reach
@@ -75,13 +76,15 @@ class WorkerProcess:
         self._unreached: tuple[Camera, ...] | None = None
         self._cameras: tuple[Camera, ...] | None = None
         self._reach_of: MeasureReach | None = None
-        self._untimed: tuple[Camera, ...] | None = None
-        self._is_timed = self._may_time = False
+        self._possible: tuple[Camera, ...] | None = None
+        self._preparation: Preparation | None = None
+        self._prepared_for: object = None
+        self._is_timed = self._works_ahead = False
         self._backlog: list[Job] = []
 
     def run(self, warm_up: bool) -> None:
         """Serves jobs until the pipe ends."""
-        self._may_time = warm_up
+        self._works_ahead = warm_up
         if warm_up:
             started = time.monotonic()
             try:
@@ -93,8 +96,9 @@ class WorkerProcess:
             self._send(Ready(0.0))
         while True:
             try:
-                if not self._backlog and not self._connection.poll(REST_S):
-                    self._use_spare_time()
+                while not self._backlog and not self._connection.poll(REST_S):
+                    if not self._use_spare_time():
+                        break
             except PhotoregError:
                 pass  # Refine itself will say what is wrong.
             job = self._backlog.pop(0) if self._backlog else self._connection.recv()
@@ -121,9 +125,10 @@ class WorkerProcess:
             case SetScene():
                 self._mesh, self._photos = job.mesh, masked_photos(job)
                 self._drawing = self._judge = None
-                self._unchecked = self._untimed = None
+                self._unchecked = self._possible = None
                 self._cameras = self._unreached = None
                 self._is_timed = False
+                self._drop_preparation()
             case DrawOverlay():
                 newer = self._newer_overlay(job)
                 # The number first, it is there in no time; the picture on its thread,
@@ -136,6 +141,7 @@ class WorkerProcess:
             case Refine():
                 self._refine(job)
             case Bake():
+                self._drop_preparation()  # The memory is needed.
                 self._bake(job)
             case Pack():
                 self._send(Working("Packing the files", 0.5))
@@ -144,6 +150,8 @@ class WorkerProcess:
                 self._reach_of, self._unreached = job, self._cameras
             case Compare():
                 self._compare(job)
+            case Watch():
+                self._painter.is_watched = job.on
             case OverlayView() | Stop() | Pause() | Resume():
                 pass  # Meant for work that has just ended.
 
@@ -181,7 +189,9 @@ class WorkerProcess:
             self._painter,
             self._measure,
             self._send,
+            self._preparation,
         )
+        self._drop_preparation()
         work.run(self._messages)
 
     def _messages(self, wait: bool) -> Iterator[Job]:
@@ -197,35 +207,69 @@ class WorkerProcess:
         if job.surface != "clay":
             self._send(drawing.surface(job.after, job.surface))
 
-    def _use_spare_time(self) -> None:
-        """While nothing is asked for: what tells the user what a run would bring."""
+    def _use_spare_time(self) -> bool:
+        """While nothing is asked for: what a run would bring, then the run's beginning.
+
+        One part at a time, so that what is asked for meanwhile need not wait for all.
+
+        Returns:
+            Whether there was anything to do.
+        """
         if self._unchecked is not None:
-            cameras, self._unchecked = self._unchecked, None
-            readiness = check_readiness(self._scene_mesh(), self._photos, cameras)
-            self._send(Checked(cameras, readiness))
-            self._untimed = cameras if readiness.is_possible else None
-        if self._unreached is not None and self._reach_of is not None:
-            cameras, self._unreached = self._unreached, None
-            wanted, config = self._reach_of, self._reach_of.config
-            reach = box_reach(
-                self._scene_mesh(),
-                cameras,
-                config.box,
-                config.camera_model,
-                config.coordinates,
-                wanted.freedom,
-            )
-            self._send(Reached(reach))
-        if self._may_time and self._untimed is not None and not self._is_timed:
+            self._check(self._unchecked)
+        elif self._unreached is not None and self._reach_of is not None:
+            self._tell_reach(self._unreached, self._reach_of)
+        elif not self._works_ahead or self._possible is None:
+            return False
+        elif self._prepared_for != (self._possible, self._reach_of):
+            self._prepare(self._possible)
+        elif self._is_timed:
+            return False
+        else:
             speed = measure_speed(
                 self._scene_mesh(),
                 self._photos,
-                self._untimed,
+                self._possible,
                 lambda: self._connection.poll(0),
             )
             if speed is not None:
                 self._is_timed = True
                 self._send(Timed(speed))
+        return True
+
+    def _check(self, cameras: tuple[Camera, ...]) -> None:
+        """Tells whether a run from there can work."""
+        self._unchecked = None
+        readiness = check_readiness(self._scene_mesh(), self._photos, cameras)
+        self._send(Checked(cameras, readiness))
+        self._possible = cameras if readiness.is_possible else None
+
+    def _tell_reach(self, cameras: tuple[Camera, ...], wanted: MeasureReach) -> None:
+        """Tells how far a run from there would look."""
+        self._unreached, config = None, wanted.config
+        reach = box_reach(
+            self._scene_mesh(),
+            cameras,
+            config.box,
+            config.camera_model,
+            config.coordinates,
+            wanted.freedom,
+        )
+        self._send(Reached(reach))
+
+    def _prepare(self, cameras: tuple[Camera, ...]) -> None:
+        """Begins the run that the user is likely to ask for next."""
+        wanted = self._reach_of
+        self._preparation, self._prepared_for = None, (cameras, wanted)
+        if wanted is None:
+            return
+        _ = self._its_drawing().live_surface
+        self._preparation = Preparation(
+            self._scene_mesh(), self._photos, cameras, wanted.config, wanted.freedom
+        )
+
+    def _drop_preparation(self) -> None:
+        self._preparation = self._prepared_for = None
 
     def _bake(self, job: Bake) -> None:
         mesh = self._scene_mesh()

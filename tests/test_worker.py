@@ -15,6 +15,7 @@ from PIL import Image
 
 from app import session as rules
 from app.conductor import Conductor
+from app.drawing import Drawing, Painter
 from app.messages import (
     Event,
     Failed,
@@ -26,7 +27,10 @@ from app.messages import (
     Refined,
     SetScene,
     Stop,
+    SurfaceDrawn,
+    Watch,
 )
+from app.refining import Preparation, Refining
 from app.run import CurvePoint
 from app.session import Session
 from app.state import Document, ModelChoice, PhotoEntry, State, same_camera
@@ -86,6 +90,43 @@ def test_the_worker_s_answer_is_the_engine_s_to_the_bit(shared, scene):
         assert np.array_equal(ours.P, direct.P)
     assert refined.finished.cost == last.cost
     assert refined.error_px < 0.5 * refined.start_error_px
+
+
+def test_a_run_begun_in_spare_time_has_the_same_answer_and_counts_no_idle_time(scene):
+    mesh, photos, start = scene.mesh, scene.photos, scene.rough_cameras
+    job = Refine(start, FAST, VIEW, None)
+    preparation = Preparation(mesh, photos, start, FAST, job.freedom)
+    assert preparation.is_for(job)
+    nudged = np.nextafter(start[0].t_cam_world, np.inf)
+    moved = (dataclasses.replace(start[0], t_cam_world=nudged), *start[1:])
+    assert not preparation.is_for(dataclasses.replace(job, cameras=moved))
+    assert not preparation.is_for(dataclasses.replace(job, config=THOROUGH))
+    events: list[Event] = []
+    Refining(
+        job, mesh, photos, Drawing(mesh, photos), Painter(events.append),
+        lambda _: None, events.append, preparation,
+    ).run(lambda _: iter(()))  # fmt: skip
+    refined = events[-1]
+    assert isinstance(refined, Refined)
+    *_, last = refine(mesh, photos, start, FAST)
+    assert isinstance(last, Finished)
+    for ours, direct in zip(refined.cameras, last.cameras, strict=True):
+        assert np.array_equal(ours.P, direct.P)
+    assert refined.paused_s > 0.0, "it stood still until it was wanted"
+
+
+def test_of_a_run_that_nobody_watches_nothing_is_drawn(shared, scene):
+    worker, listener = shared
+    worker.send(Watch(False), SetScene(scene.mesh, scene.photos))
+    worker.send(Refine(scene.rough_cameras, THOROUGH, VIEW, None))
+    told: list[Event] = []
+    while sum(isinstance(event, Live) for event in told) < 8:
+        told.append(listener.events.get(timeout=90.0))
+    assert not any(isinstance(event, Picture | SurfaceDrawn) for event in told)
+    worker.send(Watch(True))
+    listener.wait_for(Picture)
+    worker.stop_refinement()
+    listener.wait_for(Refined)
 
 
 def test_stop_ends_the_run_with_the_best_so_far(shared, scene):

@@ -1,5 +1,6 @@
 """A refinement on the page: how soon it is seen, how often, and what watching costs."""
 
+import os
 import statistics
 import time
 from collections.abc import Iterator
@@ -17,6 +18,7 @@ from app.run import PRESET_NAMES
 from app.session import Session, setting
 from photoreg.presets import PresetName, RegistrationConfig
 from tests.bench.metrics import Metric, Setting, bench
+from tests.bench.processor import processor_s
 from tests.bench.served import served
 from tests.bench.wire import listening
 from tests.browser.driver import Driver, launch, wait_until
@@ -30,6 +32,40 @@ _WATCH = """() => {
   new MutationObserver(() => pictures.push(Date.now()))
     .observe(image, {attributes: true, attributeFilter: ['src']});
 }"""
+
+
+class _Load:
+    """Cores that server, worker and browser keep busy while it is watched."""
+
+    def __init__(self, conductor: Conductor) -> None:
+        self._worker = conductor.worker.pid or 0
+        self._used: dict[str, float] = {"server": 0.0, "worker": 0.0, "browser": 0.0}
+        self._seconds = 0.0
+
+    def start(self) -> None:
+        self._since, self._before = time.monotonic(), self._now()
+
+    def stop(self) -> None:
+        self._seconds += time.monotonic() - self._since
+        for name, used in self._now().items():
+            self._used[name] += used - self._before[name]
+
+    def _now(self) -> dict[str, float]:
+        server = time.process_time()
+        below = processor_s(os.getpid(), without=(self._worker,))
+        return {
+            "server": server,
+            "worker": processor_s(self._worker),
+            "browser": below - server,
+        }
+
+    def metrics(self, name: str) -> Iterator[Metric]:
+        for process, used in self._used.items():
+            yield Metric(
+                f"{name}.cores.{process}", used / self._seconds, "cores", "lower",
+                None, 1.0, "the server's include the bench's own"
+                if process == "server" else "",
+            )  # fmt: skip
 
 
 class _NoPictures(Painter):
@@ -73,13 +109,14 @@ def _listening(
         if isinstance(updates.get("value"), str):
             seen[updates["value"]] = time.perf_counter()
 
-    rates, trips_ms = [], []
+    rates, trips_ms, load = [], [], _Load(conductor)
     with listening(address, hear):
         for _ in range(N_STARTS):
             session.change(None, setting(preset="thorough"))
             conductor.refinement.start()
             wait_until(lambda: session.state.run.curve, "a first update")
             pictures.clear()
+            load.start()
             since = time.time()
             while time.time() - since < 3.0 and session.state.run.is_active:
                 # The dropdown of the presets follows; it changes nothing in the run.
@@ -92,12 +129,14 @@ def _listening(
                 wait_until(lambda name=name: name in seen, "it is heard", poll_s=0.001)
                 trips_ms.append(1e3 * (seen[name] - asked))
                 time.sleep(0.04)
+            load.stop()
             rates.append(_rate(pictures))
             conductor.refinement.stop(revert=True)
             wait_until(lambda: session.state.run.status == "idle", "it stops")
     yield from _rates_and_trips(
         "refine_page.drawn_elsewhere", rates, trips_ms, "a client that draws nothing"
     )
+    yield from load.metrics("refine_page.drawn_elsewhere")
 
 
 def _watching(
@@ -109,7 +148,7 @@ def _watching(
     driver.page.evaluate(_WATCH)
     refine = driver.page.get_by_role("button", name="Refine", exact=True)
     session.change(None, setting(preset="thorough"))
-    first_ms, rates, trips_ms = [], [], []
+    first_ms, rates, trips_ms, load = [], [], [], _Load(conductor)
     for _ in range(N_STARTS):
         driver.frames(3)
         box = refine.bounding_box()
@@ -130,6 +169,7 @@ def _watching(
         leave()
         first_ms.append(1e3 * (updated[0] - began))
         driver.page.evaluate("() => { pictures.length = 0; }")
+        load.start()
         since = time.time()
         while time.time() - since < 3.0 and session.state.run.is_active:
             asked = time.perf_counter()
@@ -139,6 +179,7 @@ def _watching(
             driver.page.evaluate("() => 0")
             trips_ms.append(1e3 * (time.perf_counter() - asked))
             driver.page.wait_for_timeout(40)
+        load.stop()
         rates.append(
             _rate([1e-3 * at for at in driver.page.evaluate("() => pictures")])
         )
@@ -153,6 +194,7 @@ def _watching(
         "refine_page.first_update.worst", max(first_ms), "ms", "lower", None, 2.0, note
     )
     yield from _rates_and_trips("refine_page", rates, trips_ms, "software WebGL")
+    yield from load.metrics("refine_page")
 
 
 def _rate(times: list[float]) -> float:
