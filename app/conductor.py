@@ -42,6 +42,7 @@ from app.messages import (
     Working,
 )
 from app.opening import demo_folder, open_folder
+from app.pictures import Pictures
 from app.projects import Projects
 from app.refinement import Refinement, must_be_idle
 from app.session import Session
@@ -72,6 +73,8 @@ class Conductor:
     ) -> None:
         self.session = session
         self.projects = projects if projects is not None else Projects(session)
+        self.pictures = Pictures()
+        """What pages fetch."""
         self.picture: bytes | None = None
         """The newest overlay, a JPEG file; of a blink the photo whose turn it is."""
         self.drawn: Picture | None = None
@@ -332,7 +335,8 @@ class Conductor:
             or document.masks != sent.masks
         ):
             photos = tuple(entry.photo for entry in document.used)
-            self.worker.send(SetScene(document.mesh, photos, document.masks))
+            addresses = tuple(map(self.pictures.small_address, photos))
+            self.worker.send(SetScene(document.mesh, photos, document.masks, addresses))
             self._scene_sent = document
 
     def _tell(self, sentence: str) -> None:

@@ -66,9 +66,12 @@ class _Drawn:
 class Drawing:
     """Pictures of one scene; what does not change is prepared once."""
 
-    def __init__(self, mesh: Mesh, photos: tuple[Photo, ...]) -> None:
+    def __init__(
+        self, mesh: Mesh, photos: tuple[Photo, ...], addresses: tuple[str, ...] = ()
+    ) -> None:
+        """Makes ready; ``addresses`` as `app.messages.SetScene` has them."""
         self._mesh = mesh
-        self._photos = photos
+        self._photos, self._addresses = photos, addresses
         self._overlay = LiveOverlay(mesh, photos, PICTURE_SIDE_PX)
         self._lines: SurfaceLines | None = None
         self._pair: _Drawn | None = None
@@ -162,7 +165,10 @@ class Drawing:
     def live_surface(self) -> LiveSurface:
         """What draws the object; made in spare time, or when it is first shown."""
         return LiveSurface(
-            self._overlay.quick_mesh, self._photos, DisplayFrame.of(self._mesh)
+            self._overlay.quick_mesh,
+            self._photos,
+            self._addresses,
+            DisplayFrame.of(self._mesh),
         )
 
     def comparison(self, job: Compare) -> Compared:

@@ -2,16 +2,17 @@
 
 Each face takes the photo that sees it most squarely, at the place where the camera of
 the moment puts it. That needs no unwrapping and no baking, and the seams between the
-photos close as the cameras come right.
+photos close as the cameras come right. The photos themselves are named by address: a
+browser fetches them once.
 """
 
 import json
 import struct
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
 
+from app.pictures import SMALL_PX
 from app.placement import DisplayFrame
 from app.state import Surface
 from photoreg.camera import Camera
@@ -19,17 +20,19 @@ from photoreg.inconsistency import CLAY, SurfaceSight, vertex_colours
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 
-PHOTO_SIDE_PX = 768
-PHOTO_QUALITY = 80
-
-FLOAT, UINT, UBYTE = 5126, 5125, 5121
+FLOAT, UINT, USHORT = 5126, 5125, 5123
+DTYPES = {FLOAT: "<f4", UINT: "<u4", USHORT: "<u2"}
 
 
 class LiveSurface:
     """Draws the surface under changing cameras; what does not change is kept."""
 
     def __init__(
-        self, mesh: Mesh, photos: Sequence[Photo], frame: DisplayFrame
+        self,
+        mesh: Mesh,
+        photos: Sequence[Photo],
+        addresses: Sequence[str],
+        frame: DisplayFrame,
     ) -> None:
         """Makes ready.
 
@@ -37,13 +40,14 @@ class LiveSurface:
             mesh: The surface in few faces: a browser must read them while the picture
                 lasts.
             photos: The photos.
+            addresses: Where a page finds them.
             frame: The page's, that of the whole mesh.
         """
-        self._sight = SurfaceSight(mesh, photos, PHOTO_SIDE_PX)
+        self._sight = SurfaceSight(mesh, photos, SMALL_PX)
+        self._addresses = addresses
         shown = self._sight.mesh
         self._positions = frame.to_page(shown.vertices).astype("<f4")
-        self._faces = shown.faces.astype("<u4")
-        self._photos = [_jpeg(photo.pixels) for photo in self._sight.photos]
+        self._faces = shown.faces
 
     def glb(self, cameras: Sequence[Camera], surface: Surface) -> bytes:
         """The surface in page axes as a GLB file, drawn without light."""
@@ -66,11 +70,12 @@ class LiveSurface:
                 continue
             # glTF's (0, 0) is the corner of the first pixel, ours its centre.
             uv = (pixels[i] + 0.5) / (photo.width, photo.height)
-            uv = np.nan_to_num(uv, nan=0.0, posinf=0.0, neginf=0.0)
+            # Beyond the photo lie only vertices of faces that are not its.
+            share = np.nan_to_num(np.clip(uv, 0.0, 1.0), nan=0.0)
             file.primitive(
-                {"POSITION": position, "TEXCOORD_0": file.array(uv, FLOAT)},
+                {"POSITION": position, "TEXCOORD_0": file.shares(share)},
                 faces,
-                file.textured(self._photos[i]),
+                file.textured(self._addresses[i]),
             )
         rest = self._faces[choice < 0]
         if len(rest):
@@ -110,7 +115,7 @@ class GlbFile:
 
     def array(self, values: np.ndarray, kind: int, bounds: bool = False) -> int:
         """Adds an array (n,) or (n, k); returns its accessor."""
-        plain = np.ascontiguousarray(values, "<f4" if kind == FLOAT else "<u4")
+        plain = np.ascontiguousarray(values, DTYPES[kind])
         shape = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
         width = 1 if plain.ndim == 1 else plain.shape[1]
         accessor: dict[str, object] = {
@@ -125,9 +130,15 @@ class GlbFile:
         self._accessors.append(accessor)
         return len(self._accessors) - 1
 
-    def textured(self, jpeg: bytes) -> int:
-        """Adds a material that shows a picture as it is."""
-        self._images.append({"bufferView": self._add(jpeg), "mimeType": "image/jpeg"})
+    def shares(self, values: np.ndarray) -> int:
+        """Adds an array of values in [0, 1], to 1 / 65,535; returns its accessor."""
+        accessor = self.array(np.rint(65535.0 * values), USHORT)
+        self._accessors[accessor]["normalized"] = True
+        return accessor
+
+    def textured(self, address: str) -> int:
+        """Adds a material that shows the picture at an address as it is."""
+        self._images.append({"uri": address})
         texture = {"index": len(self._images) - 1}
         return self._material({"baseColorTexture": texture})
 
@@ -140,10 +151,12 @@ class GlbFile:
         self, attributes: dict[str, int], faces: np.ndarray, material: int
     ) -> None:
         """Adds faces (m, 3) drawn with a material."""
+        # The largest of 16 bits has a meaning of its own.
+        kind = USHORT if faces.size == 0 or faces.max() < 65535 else UINT
         self._primitives.append(
             {
                 "attributes": attributes,
-                "indices": self.array(faces.ravel(), UINT),
+                "indices": self.array(faces.ravel(), kind),
                 "material": material,
             }
         )
@@ -198,10 +211,3 @@ class GlbFile:
         )
         self._body += part + bytes(-len(part) % 4)
         return len(self._views) - 1
-
-
-def _jpeg(picture: np.ndarray) -> bytes:
-    bgr = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
-    done, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, PHOTO_QUALITY])
-    assert done
-    return data.tobytes()

@@ -35,6 +35,9 @@ class SetScene:
     photos: tuple[Photo, ...]
     mask_pngs: tuple[bytes | None, ...] = ()
     """The photos' masks, see ``app.masks``; empty if no photo has one."""
+    addresses: tuple[str, ...] = ()
+    """Where a page finds the photos, reduced; empty if no page is to show them on the
+    surface."""
 
 
 @dataclasses.dataclass(frozen=True)

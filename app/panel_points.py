@@ -17,7 +17,6 @@ from app.markers import Pull
 from app.masks import mask_of, painted_mask
 from app.pair_table import pair_rows, table_html
 from app.panel_data import index_of, photo_options
-from app.pictures import Pictures
 from app.placement import DisplayFrame
 from app.session import select, setting, with_entry
 from app.state import State
@@ -31,12 +30,10 @@ from photoreg.resection import N_POSE
 class PointsPanel:
     """The picker, the table of pairs, and what can be done with them."""
 
-    def __init__(
-        self, gui: viser.GuiApi, conductor: Conductor, bus: Bus, pictures: Pictures
-    ) -> None:
+    def __init__(self, gui: viser.GuiApi, conductor: Conductor, bus: Bus) -> None:
         self._conductor = conductor
         self._session = session = conductor.session
-        self._pictures = pictures
+        self._pictures = conductor.pictures
         self._picking: set[int] = set()
         self.on_picking: Callable[[int, bool], None] = lambda *_: None
         """Called when clicks on the model begin or cease to place points in a browser."""

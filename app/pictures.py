@@ -7,6 +7,7 @@ a photo of 50 megapixels costs what is looked at.
 import asyncio
 import itertools
 import re
+import secrets
 import threading
 from collections.abc import Awaitable
 
@@ -19,6 +20,10 @@ from photoreg.photo import Photo
 
 ROOT = "/photoreg/"
 OVERVIEW_PX = 1600
+SMALL_PX = 768
+"""Longer side of a photo as the object wears it while a run goes on."""
+SIDES_PX = {"overview": OVERVIEW_PX, "small": SMALL_PX}
+MAX_PHOTOS = 200
 TILE_PX = 512
 QUALITY = 88
 MASK_COLOUR_BGR = (70, 70, 255)
@@ -27,7 +32,7 @@ Answer = tuple[str, bytes]
 """Content type and body."""
 
 _SCRIPT = re.compile(r"/photoreg/([a-z]+)\.js")
-_OVERVIEW = re.compile(r"/photoreg/photo/([0-9]+)/overview\.jpg")
+_WHOLE = re.compile(r"/photoreg/photo/([0-9]+)/(overview|small)\.jpg")
 _TILE = re.compile(r"/photoreg/photo/([0-9]+)/([0-9]{1,4})/([0-9]{1,4})\.jpg")
 _MASK = re.compile(r"/photoreg/mask/([0-9]+)\.png")
 
@@ -37,10 +42,12 @@ class Pictures:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._count = itertools.count(1)
+        # A browser keeps pictures for an hour, also where another server has the
+        # port by then: no two servers may have the same keys.
+        self._count = itertools.count(secrets.randbelow(10**12))
         self._photos: dict[str, Photo] = {}
         self._masks: dict[str, bytes] = {}
-        self._overviews: dict[str, bytes] = {}
+        self._wholes: dict[tuple[str, str], bytes] = {}
 
     def photo_key(self, photo: Photo) -> str:
         """The key of a photo's pixels."""
@@ -50,11 +57,16 @@ class Pictures:
                     return key
             key = str(next(self._count))
             self._photos[key] = photo
-            while len(self._photos) > 40:
+            while len(self._photos) > MAX_PHOTOS:
                 gone = next(iter(self._photos))
                 del self._photos[gone]
-                self._overviews.pop(gone, None)
+                for size in SIDES_PX:
+                    self._wholes.pop((gone, size), None)
             return key
+
+    def small_address(self, photo: Photo) -> str:
+        """Where the page finds a photo reduced to ``SMALL_PX``."""
+        return f"{ROOT}photo/{self.photo_key(photo)}/small.jpg"
 
     def mask_key(self, png: bytes | None) -> str | None:
         """The key of a mask; None for none."""
@@ -80,22 +92,22 @@ class Pictures:
         if match := _SCRIPT.fullmatch(path):
             file = static_folder() / f"{match[1]}.js"
             return ("text/javascript", file.read_bytes()) if file.is_file() else None
-        if match := _OVERVIEW.fullmatch(path):
-            return self._overview(match[1])
+        if match := _WHOLE.fullmatch(path):
+            return self._whole(match[1], match[2])
         if match := _TILE.fullmatch(path):
             return self._tile(match[1], int(match[2]), int(match[3]))
         if match := _MASK.fullmatch(path):
             return self._mask(match[1])
         return None
 
-    def _overview(self, key: str) -> Answer | None:
+    def _whole(self, key: str, size: str) -> Answer | None:
         photo = self._photos.get(key)
         if photo is None:
             return None
-        data = self._overviews.get(key)
+        data = self._wholes.get((key, size))
         if data is None:
-            data = _jpeg(photo.resized(OVERVIEW_PX).pixels)
-            self._overviews[key] = data
+            data = _jpeg(photo.resized(SIDES_PX[size]).pixels)
+            self._wholes[key, size] = data
         return "image/jpeg", data
 
     def _tile(self, key: str, column: int, row: int) -> Answer | None:

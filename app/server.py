@@ -33,7 +33,6 @@ from app.panel_points import PointsPanel
 from app.panel_project import ProjectPanel
 from app.panel_refine import RefinePanel
 from app.panel_view import ViewPanel
-from app.pictures import Pictures
 from app.scene import Scene
 from app.session import Session, with_entry
 from app.state import Job, State
@@ -70,9 +69,8 @@ class Page:
         self.session = session
         self.conductor = conductor
         self.projects = conductor.projects
-        self.pictures = Pictures()
         self._limits = Limits.of_environment()
-        self.server = start_viser(doors or Doors(), port, self.pictures)
+        self.server = start_viser(doors or Doors(), port, conductor.pictures)
         limit_uploads(self.server, self._limits, self._on_refused)
         self._dark: bool | None = None
         self._viewports: dict[int, Viewport] = {}
@@ -140,7 +138,7 @@ class Page:
         with left.add_tab("Overlay", viser.Icon.LAYERS_INTERSECT):
             overlay = OverlayPanel(gui, self.conductor, bus)
         with left.add_tab("Points", viser.Icon.TARGET_ARROW):
-            points = PointsPanel(gui, self.conductor, bus, self.pictures)
+            points = PointsPanel(gui, self.conductor, bus)
         left.dock_left()
         left.set_width(350)
         self._panels = (project, data, align, refine, export, overlay, points)

@@ -68,6 +68,7 @@ class WorkerProcess:
         self._send_lock = threading.Lock()
         self._mesh: Mesh | None = None
         self._photos: tuple[Photo, ...] = ()
+        self._addresses: tuple[str, ...] = ()
         self._drawing: Drawing | None = None
         self._judge: Judge | None = None
         self._painter = Painter(self._send)
@@ -124,6 +125,7 @@ class WorkerProcess:
         match job:
             case SetScene():
                 self._mesh, self._photos = job.mesh, masked_photos(job)
+                self._addresses = job.addresses
                 self._drawing = self._judge = None
                 self._unchecked = self._possible = None
                 self._cameras = self._unreached = None
@@ -167,7 +169,7 @@ class WorkerProcess:
 
     def _its_drawing(self) -> "Drawing":
         if self._drawing is None:
-            self._drawing = Drawing(self._scene_mesh(), self._photos)
+            self._drawing = Drawing(self._scene_mesh(), self._photos, self._addresses)
         return self._drawing
 
     def _measure(self, cameras: tuple[Camera, ...]) -> None:

@@ -225,7 +225,7 @@ def _slowdown() -> Iterator[Metric]:
     document = open_folder(demo_folder())
     mesh, photos = document.mesh, tuple(entry.photo for entry in document.used)
     assert mesh is not None
-    drawing = Drawing(mesh, photos)
+    drawing = Drawing(mesh, photos, tuple(photo.name for photo in photos))
     job = Refine(
         document.used_cameras,
         RegistrationConfig.preset("thorough"),

@@ -17,6 +17,29 @@ from photoreg.presets import PresetName, RegistrationConfig
 from photoreg.synthetic import SceneOptions, make_scene
 from tests.browser.driver import Driver, wait_until
 
+# What the overlay shows, by content: a picture sent anew is no other picture.
+WATCH_OVERLAY = """() => {
+  window.overlays = new Set();
+  const image = [...document.querySelectorAll('img[src^="blob:"]')]
+    .find(image => image.checkVisibility());
+  const keep = async () => {
+    const content = await (await fetch(image.src)).arrayBuffer();
+    const digest = await crypto.subtle.digest('SHA-256', content);
+    overlays.add(new Uint8Array(digest).join());
+  };
+  new MutationObserver(() => keep().catch(() => {}))  // It may be replaced by now.
+    .observe(image, {attributes: true, attributeFilter: ['src']});
+}"""
+
+# Whether the object in the 3-D view wears so many photos.
+WEARS_PHOTOS = """n =>
+  Object.entries(__viserMutable.nodeRefFromName).some(([name, node]) => {
+    let worn = 0;
+    if (name.startsWith('/solid/run-'))
+      node?.traverse(part => { worn += part.material?.map?.image?.width > 0; });
+    return worn === n;
+  })"""
+
 
 @pytest.fixture(scope="module")
 def app(open_app_once):
@@ -80,6 +103,20 @@ def choose(app, dropdown: str, option: str) -> None:
 
 def to_its_end(app) -> None:
     wait_until(lambda: app.state.run.status == "review", "the run ends", 240)
+
+
+def test_different_overlays_arrive_while_the_best_cost_only_falls(app):
+    wait_until(lambda: app.conductor.picture is not None, "the start is drawn")
+    app.driver.frames(3)
+    app.driver.page.evaluate(WATCH_OVERLAY)
+    start(app, hold=False)
+    app.driver.page.wait_for_function("() => overlays.size >= 5", timeout=120_000)
+    app.driver.page.wait_for_function(WEARS_PHOTOS, arg=2, timeout=120_000)
+    app.conductor.refinement.pause()
+    costs = [point.best for point in app.state.run.curve]
+    assert costs[-1] < costs[0]
+    assert costs == sorted(costs, reverse=True)
+    drop(app)
 
 
 def test_a_paused_run_stands_still_and_goes_on_when_resumed(app):
@@ -153,6 +190,33 @@ def test_what_is_ticked_stays_to_the_last_bit(app):
     assert moved.focal_px == second.focal_px
     assert not np.array_equal(moved.t_cam_world, second.t_cam_world)
     app.session.change(None, setting(held=()))
+    drop(app)
+
+
+def test_photos_that_share_a_focal_length_have_one_all_the_way(app):
+    window = app.driver.page
+    one_focal = window.get_by_label("One focal length")
+    if not one_focal.is_visible():
+        window.get_by_text("What may move").click()
+    begun = [entry.camera.K[0, 0] for entry in app.state.document.photos]
+    assert begun[0] != begun[1], "nothing would be told"
+    one_focal.check()
+    wait_until(lambda: app.state.one_focal, "the tick arrives")
+    told: list[list[float]] = []
+    leave = app.session.listen(
+        lambda _, new: (
+            told.append([camera.K[0, 0] for camera in new.run.cameras])
+            if new.run.curve
+            else None
+        )
+    )
+    start(app, "fast", hold=False)
+    to_its_end(app)
+    leave()
+    assert len(told) > 3
+    assert all(first == second for first, second in told)
+    assert len({first for first, _ in told}) > 1, "it moves"
+    app.session.change(None, setting(one_focal=False))
     drop(app)
 
 
