@@ -50,6 +50,10 @@ REST_S = 0.25
 """So long nothing must have been asked for before time counts as spare: while a camera
 is dragged, the next number and picture are wanted every 50 ms."""
 
+PREPARE_REST_S = 0.5
+"""The same, once more, before a run is begun: that takes a third of a second, with many
+large photos more, and cannot be broken off."""
+
 
 def run_worker(connection: Connection, warm_up: bool) -> None:
     """Entry of the process: works until the pipe ends."""
@@ -224,7 +228,8 @@ class WorkerProcess:
         elif not self._works_ahead or self._possible is None:
             return False
         elif self._prepared_for != (self._possible, self._reach_of):
-            self._prepare(self._possible)
+            if not self._connection.poll(PREPARE_REST_S):
+                self._prepare(self._possible)
         elif self._is_timed:
             return False
         else:
