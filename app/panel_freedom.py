@@ -11,11 +11,12 @@ from photoreg.box_reach import BoxReach
 from photoreg.presets import RegistrationConfig
 
 PARTS: dict[HeldPart, tuple[str, str]] = {
-    "pose": ("Keep place and turn", "Where this camera stands, and where it looks."),
-    "focal": ("Keep focal length", "The zoom of this photo."),
+    # Longer names would wrap.
+    "pose": ("Keep place", "Where this camera stands, and where it looks."),
+    "focal": ("Keep focal", "The focal length: the zoom of this photo."),
     "principal_point": (
-        "Keep principal point",
-        "Where in this photo the lens looks straight ahead.",
+        "Keep centre",
+        "The principal point: where in this photo the lens looks straight ahead.",
     ),
 }
 
@@ -48,6 +49,8 @@ class FreedomPanel:
         self._names: tuple[str, ...] = ()
         self._nodes: list[viser.GuiMarkdownHandle] = []
         self._ticks: dict[tuple[str, HeldPart], viser.GuiCheckboxHandle] = {}
+        self._held: set[tuple[str, HeldPart]] = set()
+        self._is_one_focal = False
         self._size = gui.add_slider(
             "Search box, %",
             *BOX_PERCENT,
@@ -63,9 +66,10 @@ class FreedomPanel:
                 "is kept whole still guides the others."
             )
             self._one_focal = gui.add_checkbox(
-                "One focal length",
+                "One focal",
                 False,
-                hint="The photos were taken with one camera at one zoom.",
+                hint="The photos were taken with one camera at one zoom: they get one "
+                "focal length.",
             )
 
         @self._size.on_update
@@ -99,14 +103,19 @@ class FreedomPanel:
             "content",
             "" if state.reach is None else f"*{reach_words(state.reach)}*",
         )
-        put_value(self._one_focal, state.one_focal)
-        for key, tick in self._ticks.items():
-            put_value(tick, key in state.held)
+        # Only what has changed: this state may be of before a click, whose tick it
+        # would take away again.
+        held, before, self._held = set(state.held), self._held, set(state.held)
+        for key in (held ^ before) & self._ticks.keys():
+            put_value(self._ticks[key], key in held)
+        if state.one_focal != self._is_one_focal:
+            self._is_one_focal = state.one_focal
+            put_value(self._one_focal, state.one_focal)
 
     def _rebuild(self) -> None:
         for node in (*self._nodes, *self._ticks.values()):
             node.remove()
-        self._nodes, self._ticks = [], {}
+        self._nodes, self._ticks, self._held = [], {}, set()
         with self._fold:
             for number, name in enumerate(self._names, 1):
                 self._nodes.append(self._gui.add_markdown(f"**{number}. {name}**"))

@@ -44,9 +44,10 @@ SERIES: tuple[viser.uplot.Series, ...] = (
 EMPTY_CURVE = (np.array([0.0, 1.0]), *[np.full(2, np.nan)] * 6)
 EMPTY_PICTURE = np.full((480, 640, 3), 38, dtype=np.uint8)
 KEY = (
-    f'<div style="margin:0 14px 8px;font-size:11.5px;opacity:.85">'
-    f'<span style="color:{BEST}">━ best</span> &nbsp; ┅ median &nbsp; ─ quartiles &nbsp; '
-    f'<span style="color:{RESTART}">● restart</span> &nbsp; '
+    '<div style="margin:0 14px 8px;font-size:11.5px;opacity:.85;display:flex;'
+    'flex-wrap:wrap;gap:0 9px;white-space:nowrap">'
+    f'<span style="color:{BEST}">━ best</span><span>┅ median</span>'
+    f'<span>─ quartiles</span><span style="color:{RESTART}">● restart</span>'
     f'<span style="color:{LEVEL}">● polish level</span></div>'
 )
 
@@ -100,7 +101,7 @@ class OverlayPanel:
             ),
             legend={"show": False},
             padding=(10, 14, 0, 0),
-            height=210,
+            height=194,
             visible=False,
         )
         self._key = gui.add_html(KEY, visible=False)

@@ -176,9 +176,9 @@ def test_what_is_ticked_stays_to_the_last_bit(app):
     first, second = (entry.camera for entry in app.state.document.photos)
     app.driver.page.get_by_text("What may move").click()
     app.driver.frames(2)
-    keep_focal = app.driver.page.get_by_label("Keep focal length")
+    keep_focal = app.driver.page.get_by_label("Keep focal")
     keep_focal.nth(1).check()
-    for label in ("Keep place and turn", "Keep focal length", "Keep principal point"):
+    for label in ("Keep place", "Keep focal", "Keep centre"):
         app.driver.page.get_by_label(label).nth(0).check()
     wait_until(lambda: len(app.state.held) == 4, "the ticks arrive")
     start(app, "fast", hold=False)
@@ -195,7 +195,7 @@ def test_what_is_ticked_stays_to_the_last_bit(app):
 
 def test_photos_that_share_a_focal_length_have_one_all_the_way(app):
     window = app.driver.page
-    one_focal = window.get_by_label("One focal length")
+    one_focal = window.get_by_label("One focal")
     if not one_focal.is_visible():
         window.get_by_text("What may move").click()
     begun = [entry.camera.K[0, 0] for entry in app.state.document.photos]
