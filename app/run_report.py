@@ -77,7 +77,7 @@ def _numbers(run: Run) -> list[tuple[str, str]]:
 def _settings(config: RegistrationConfig | None) -> list[tuple[str, str]]:
     def flat(value: Any, path: str) -> list[tuple[str, str]]:
         if not dataclasses.is_dataclass(value):
-            return [(path, str(value))]
+            return [(path, f"{value:.6g}" if isinstance(value, float) else str(value))]
         rows = []
         for field in dataclasses.fields(value):
             name = f"{path}.{field.name}" if path else field.name
