@@ -300,6 +300,10 @@ def exposure_gains(logs: Sequence[np.ndarray]) -> Float[np.ndarray, "n 3"]:
     Least squares on the medians of the log ratios of all pairs, so that a highlight
     or a passer-by does not count; the gains' geometric mean is 1.
 
+    The gains that a refinement fits on its way are not used: they are those of CIE LUV,
+    on blurred levels, and cameras need not come from a refinement. On a made shell with
+    one photo 15 to 25 % darker these here are within 0.2 % of the true ones.
+
     Args:
         logs: For each photo what `log_colours` saw at the same texels.
     """
