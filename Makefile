@@ -78,9 +78,10 @@ clean: ## Remove the environment and what tools left behind
 	@$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@
 
-# MeshLab projects photos with OpenGL. On Debian or Ubuntu it needs, beside a display or
-# xvfb: apt install xvfb xauth libgl1 libopengl0 libegl1 libglu1-mesa libxkbcommon-x11-0
-# libxcb-icccm4 libxcb-keysyms1 libxcb-xinerama0.
+# MeshLab projects photos with OpenGL, and Open3D looks for cameras at USB. On Debian or
+# Ubuntu they need, beside a display or xvfb: apt install xvfb xauth libgl1 libopengl0
+# libegl1 libglu1-mesa libxkbcommon-x11-0 libxcb-icccm4 libxcb-keysyms1 libxcb-xinerama0
+# libusb-1.0-0.
 # Environments of their own: Open3D brings a web server and a pytest plugin that breaks
 # ours, Blender another numpy.
 .venv/.stamp-interop: .venv/.stamp-dev pyproject.toml

@@ -436,7 +436,7 @@ def test_baking_tells_its_steps_and_ends_with_the_model(mesh, photos, cameras):
 
 def test_refined_cameras_cost_little_of_the_likeness():
     """Views that no photo had, against the true render: PSNR and SSIM."""
-    scene = make_scene(SceneOptions("clean", seed=3, width=512, height=384))
+    scene = make_scene(SceneOptions("clean", seed=3, width=384, height=288))
     *_, last = refine(scene.mesh, scene.photos, scene.rough_cameras)
     textures = [
         bake_texture(scene.mesh, scene.photos, cameras)
