@@ -254,11 +254,12 @@ def _coverage_html(texture: Texture) -> str:
         for colour, name, share in rows
     )
     picture = base64.b64encode(texture.coverage_jpeg).decode()
+    # A help line is faint; the picture's and legend's colours are to be the true ones.
     return (
-        f'<div style="{HELP}">{legend}<img alt="Which photo paints where" '
+        f'<div style="{HELP};opacity:1">{legend}<img alt="Which photo paints where" '
         f'src="data:image/jpeg;base64,{picture}" style="width:100%;margin-top:7px;'
-        'border-radius:5px"><div>The texture laid flat: brighter where it is seen '
-        "better.</div></div>"
+        'border-radius:5px"><div style="opacity:.75">The texture laid flat: brighter '
+        "where it is seen better.</div></div>"
     )
 
 

@@ -115,11 +115,12 @@ class TexelTable:
     def thinned(self, n: int) -> "TexelTable":
         """About ``n`` of the texels, evenly spread."""
         step = max(1, len(self.index) // n)
+        # Copies: for strided views numba would compile every kernel once more.
         return dataclasses.replace(
             self,
-            index=self.index[::step],
-            face=self.face[::step],
-            inside=self.inside[::step],
+            index=self.index[::step].copy(),
+            face=self.face[::step].copy(),
+            inside=self.inside[::step].copy(),
         )
 
 
