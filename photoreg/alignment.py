@@ -31,7 +31,11 @@ from photoreg.photometric import (
     surface_views,
 )
 from photoreg.polish import Damping, Prior, minimise
+from photoreg.sampling import sample_surface
 from photoreg.silhouette import OUTLINE_SIGMA_PX, RimTerm, find_edges, find_rim
+
+SETTLING_POINTS = 500
+"""Surface points by which a level is seen to have settled."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,7 +47,10 @@ class PolishConfig:
     points: tuple[int, ...] = (8_000, 12_000, 16_000, 30_000, 60_000)
     """Surface points of each level over all pairs of photos."""
     rounds: tuple[int, ...] = (3, 2, 2, 1, 2)
-    """How often each level renews visibility, exposure and noise."""
+    """How often each level renews visibility, exposure and noise, at least."""
+    extra_rounds: int = 6
+    """Rounds more a level, at most, while a round still moves the surface in the photos
+    by more than half the level's blur."""
     iterations: int = 8
     """Steps of the minimisation a round, at most."""
     min_cosine: float = 0.25
@@ -70,6 +77,10 @@ class PolishConfig:
             )
         if not all(np.isfinite(b) and b >= 0.0 for b in self.blurs_px):
             raise InputError(f"blurs_px should be 0 or more, but is {self.blurs_px}.")
+        if self.extra_rounds < 0:
+            raise InputError(
+                f"extra_rounds should be 0 or more, but is {self.extra_rounds}."
+            )
         if min(self.points) < 100 or min(self.rounds) < 1 or self.iterations < 1:
             raise InputError(
                 "A level of the polish needs at least 100 points, 1 round and 1 iteration."
@@ -172,12 +183,17 @@ def polish_cameras(
     )
     prior = Prior(np.zeros_like(x_start), np.eye(len(x_start)))
     n_levels = len(config.blurs_px)
+    surface = sample_surface(mesh, SETTLING_POINTS, seed).points
     x, done = x_start, 0
     latest = None
     terms: list[PairTerm | RimTerm] = []
     for level in range(n_levels):
-        for turn in range(config.rounds[level]):
-            round_seed = seed + 101 * level + turn
+        moved_px = np.inf
+        for turn in range(config.rounds[level] + config.extra_rounds):
+            settled = moved_px <= 0.5 * config.blurs_px[level]
+            if settled and turn >= config.rounds[level]:
+                break
+            x_before, round_seed = x, seed + 101 * level + turn
             terms = _terms(
                 mesh, photos, increments, x, sizes, level, config, round_seed
             )
@@ -202,6 +218,9 @@ def polish_cameras(
                     warnings,
                 )
                 yield latest
+            moved_px = _moved_px(
+                surface, _cameras(increments, x_before), _cameras(increments, x)
+            )
         assert latest is not None  # A level has at least one round.
         latest = dataclasses.replace(
             latest,
@@ -215,6 +234,25 @@ def polish_cameras(
     if before is None:
         before = disagreement(mesh, photos, cameras, config.min_cosine)
     yield _better_end(mesh, photos, cameras, before, x_start, latest, config)
+
+
+def _moved_px(
+    points_world: np.ndarray, before: Sequence[Camera], after: Sequence[Camera]
+) -> float:
+    """How far surface points move in the photo where they move most.
+
+    The mean distance, in pixels of a photo 1,024 px wide, of points in front of both
+    cameras; seen or not.
+    """
+    moves_px = []
+    for old, new in zip(before, after, strict=True):
+        apart = new.project(points_world) - old.project(points_world)
+        moves_px.append(
+            np.nanmean(np.hypot(*apart.T)) * 1024.0 / new.width
+            if np.isfinite(apart).any()
+            else np.inf
+        )
+    return float(max(moves_px))
 
 
 def _better_end(

@@ -205,6 +205,7 @@ def _beyond(
         blurs_px=(0.0,),
         points=(1_000,),
         rounds=(1,),
+        extra_rounds=0,
         rim_reaches_px=(4.0,),
         use_silhouette=False,
         iterations=100,

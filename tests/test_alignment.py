@@ -8,6 +8,7 @@ import pytest
 from photoreg.alignment import PolishConfig, polish_cameras
 from photoreg.errors import InputError, RefinementError
 from photoreg.increments import rotation
+from photoreg.rough import rough_start
 from photoreg.uncertainty import estimate_uncertainty, undetermined_directions
 from tests.polish_scene import make_polish_scene, moved, projection_error_px
 
@@ -43,6 +44,34 @@ def test_rough_cameras_become_precise(scene, steps):
     assert before > 4.0, before
     # Exact mesh and half a grey level of noise: worst observed 0.06.
     assert after < 0.15, (before, after)
+
+
+@pytest.fixture(scope="module")
+def far(scene):
+    """The same scene from cameras too far off for a round a level."""
+    rough = rough_start(scene.mesh, scene.cameras, (22.0, 26.0), seed=3)
+    return dataclasses.replace(scene, rough=tuple(rough))
+
+
+def test_a_level_goes_on_while_the_cameras_still_move(far):
+    short = dataclasses.replace(QUICK, rounds=(1, 1, 1), extra_rounds=0)
+    longer = dataclasses.replace(short, extra_rounds=6)
+    ended, settled = (
+        projection_error_px(far.mesh, far.cameras, polished(far, config)[-1].cameras)
+        for config in (short, longer)
+    )
+    assert settled < 0.15, (ended, settled)
+    assert ended > 2.0 * settled, (ended, settled)
+
+
+def test_a_level_that_has_settled_adds_no_round(scene):
+    exact = dataclasses.replace(scene, rough=scene.cameras)
+    fine = dataclasses.replace(
+        QUICK, blurs_px=(2.0,), points=(6000,), rounds=(1,), rim_reaches_px=(5.0,)
+    )
+    least = polished(exact, dataclasses.replace(fine, extra_rounds=0))[-1]
+    most = polished(exact, fine)[-1]
+    assert np.array_equal(least.x, most.x)
 
 
 def test_the_last_step_says_that_it_is_no_worse(steps):
@@ -120,6 +149,11 @@ def test_a_camera_that_looks_away_is_named(scene):
 def test_a_configuration_of_unequal_levels_is_refused():
     with pytest.raises(InputError, match="one length"):
         PolishConfig(points=(100,))
+
+
+def test_fewer_than_no_extra_rounds_are_refused():
+    with pytest.raises(InputError, match="extra_rounds should be 0 or more"):
+        PolishConfig(extra_rounds=-1)
 
 
 def test_expected_error_is_of_the_size_of_the_true_error(scene, steps):
