@@ -14,6 +14,7 @@ from app import outcomes
 from app import session as rules
 from app.intake import Intake
 from app.messages import (
+    SPARE_TIME,
     Bake,
     Baked,
     BakingStopped,
@@ -60,6 +61,8 @@ from photoreg.errors import InputError
 from photoreg.formats.camera_download import CamerasDownload, cameras_download
 
 log = logging.getLogger(__name__)
+
+NOTHING_CHANGED = "Nothing has changed."
 
 Deliver = Callable[[str, bytes], None]
 """Takes a file's name and content, for the person who asked for it."""
@@ -250,15 +253,19 @@ class Conductor:
     def _on_failure(self, event: Failed) -> None:
         if event.details:
             log.error("%s failed:\n%s", event.job, event.details)
-        if event.job == DrawOverlay.__name__:
-            return  # Nothing to see from there; the last picture stays.
-        if not self.intake.is_busy:
+        if event.job in (DrawOverlay.__name__, SPARE_TIME):
+            return  # Nothing to see from there; the last picture and numbers stay.
+        what, rest = "Drawing", NOTHING_CHANGED
+        job = self.session.state.job
+        if job is not None and not self.intake.is_busy:
+            what = job.title
             self._set(job=None)
         if event.job == Refine.__name__:
-            self.session.change(
-                None, lambda state: outcomes.broken_off(state, "The refinement failed")
-            )
-        self.on_problem(event.message)
+            what, rest = "The refinement", self._break_off("The refinement failed")
+        if event.details:
+            self.on_problem(f"{what} was cut short: {event.message} {rest}")
+        else:
+            self.on_problem(event.message)
 
     def _on_death(self, event: Died) -> None:
         log.error("The worker process died (exit code %s)", event.exit_code)
@@ -269,25 +276,24 @@ class Conductor:
         job = state.job if self.intake.is_busy else None
         self._set(job=job, worker="Starting the engine again")
         if state.run.is_active:
-            self.session.change(
-                None, lambda state: outcomes.broken_off(state, "The engine died")
-            )
-            now = self.session.state
-            self._tell_of_death(
-                "The refinement",
-                "Tab 3 has it as it was, to go on with."
-                if now.can_go_on
-                else "Its best is in tab 3."
-                if now.run.status == "review"
-                else "Nothing has changed.",
-            )
+            what, rest = "The refinement", self._break_off("The engine died")
         elif state.job is not None and job is None:
-            self._tell_of_death(state.job.title, "Nothing has changed.")
-
-    def _tell_of_death(self, what: str, rest: str) -> None:
+            what, rest = state.job.title, NOTHING_CHANGED
+        else:
+            return
         self.on_problem(
             f"{what} was cut short: the engine process died. It is being started "
             f"again. {rest}"
+        )
+
+    def _break_off(self, outcome: str) -> str:
+        """Ends the run as it is; returns what a person is told of where it is now."""
+        self.session.change(None, lambda state: outcomes.broken_off(state, outcome))
+        now = self.session.state
+        if now.can_go_on:
+            return "Tab 3 has it as it was, to go on with."
+        return (
+            "Its best is in tab 3." if now.run.status == "review" else NOTHING_CHANGED
         )
 
     # What follows from a change of state.

@@ -26,6 +26,9 @@ from photoreg.presets import RegistrationConfig
 from photoreg.readiness import Readiness
 from photoreg.texture import TextureConfig
 
+SPARE_TIME = "SpareTime"
+"""What ``Failed`` calls what the worker does while nothing is asked of it."""
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SetScene:
@@ -341,10 +344,12 @@ class Packed:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Failed:
-    """A job could not be done; the sentence is for the user."""
+    """A job could not be done."""
 
     job: str
+    """The name of its class, or ``SPARE_TIME``."""
     message: str
+    """For the user: a sentence, or of what nobody foresaw the end of one, its cause."""
     details: str = ""
     """The traceback of what nobody foresaw; empty for errors raised on purpose."""
 

@@ -7,15 +7,18 @@ import viser
 
 from app import shelf
 from app.conductor import Conductor
-from app.controls import confirm, guarded, guarded_slow, put
+from app.controls import confirm, guarded, guarded_slow, put, put_value
 from app.projects import NOT_KEPT
 from app.state import State
 from app.widgets import help_line
+from app.words import shortened
 from photoreg.errors import InputError
 from photoreg.project_files import FileProblem
 
 MAX_SHOWN = 6
 """How many of the projects opened lately are offered."""
+LABEL_CHARACTERS, BUTTON_CHARACTERS = 24, 36
+"""How much of a project's name there is room for; its folder is told whole below."""
 
 
 class ProjectPanel:
@@ -23,6 +26,7 @@ class ProjectPanel:
 
     def __init__(self, gui: viser.GuiApi, conductor: Conductor) -> None:
         self._projects = conductor.projects
+        self._asked: FileProblem | None = None
         # A folder without a heading: viser shows an upload button whatever it is told.
         with gui.add_folder(None, visible=False) as self._asking:
             self._question = gui.add_html("")
@@ -125,7 +129,9 @@ class ProjectPanel:
         with modal:
             for folder in folders[:MAX_SHOWN]:
                 button = client.gui.add_button(
-                    folder.name, icon=viser.Icon.FOLDER_OPEN, color="gray"
+                    shortened(folder.name, BUTTON_CHARACTERS),
+                    icon=viser.Icon.FOLDER_OPEN,
+                    color="gray",
                 )
                 client.gui.add_html(help_line(html.escape(str(folder))))
                 _closing(
@@ -184,7 +190,7 @@ class ProjectPanel:
             return
         confirm(
             client,
-            "Another content",
+            "Not the same content",
             f"{path} is not the same as {problem.path.name} was when it was last used. "
             "The cameras were placed on what it was, and may not fit.",
             "Use it all the same",
@@ -208,7 +214,7 @@ class ProjectPanel:
                 html.escape(project.read_only)
                 or "Everything is kept as you work, undo included."
             )
-        put(self._folder, "label", f"Project: {name}")
+        put(self._folder, "label", f"Project: {shortened(name, LABEL_CHARACTERS)}")
         put(self._facts, "content", help_line(f'<div style="height:4px"></div>{facts}'))
 
     def _show_question(self) -> None:
@@ -217,6 +223,10 @@ class ProjectPanel:
         if pending is not None and problems:
             put(self._question, "content", _question(pending.folder.name, problems))
             put(self._change, "visible", problems[0].kind == "changed")
+        asked = problems[0] if pending is not None and problems else None
+        if asked != self._asked:
+            self._asked = asked
+            put_value(self._path, "")  # What was typed was about another file.
 
 
 def _question(name: str, problems: list[FileProblem]) -> str:
@@ -225,7 +235,8 @@ def _question(name: str, problems: list[FileProblem]) -> str:
     what = {
         "missing": "Type where it is now, or its folder; what else is missing is looked "
         "for there too.",
-        "changed": "Use it as it is now, or say where the one is that it was.",
+        "changed": "Use it as it is now, or say where the file is that has the old "
+        "content.",
     }[problem.kind]
     return (
         '<div style="margin:10px 12px 8px;padding:10px 12px;border-radius:6px;'

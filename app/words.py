@@ -17,3 +17,8 @@ def in_words(seconds: float) -> str:
     if seconds < 5400.0:
         return f"{seconds / 60.0:.0f} min"
     return f"{seconds / 3600.0:.1f} h"
+
+
+def shortened(text: str, most: int) -> str:
+    """A name for where there is room for ``most`` characters."""
+    return text if len(text) <= most else f"{text[: most - 1].rstrip()}…"

@@ -1,5 +1,6 @@
 """What runs inside the worker process: warm up, then one job after the other."""
 
+import contextlib
 import dataclasses
 import logging
 import threading
@@ -13,6 +14,7 @@ from app.drawing import Drawing, Painter
 from app.judge import Judge
 from app.masks import decode_mask
 from app.messages import (
+    SPARE_TIME,
     Bake,
     BakingStopped,
     Checked,
@@ -92,34 +94,32 @@ class WorkerProcess:
         self._works_ahead = warm_up
         if warm_up:
             started = time.monotonic()
-            try:
+            with self._failures(SPARE_TIME):
                 self._warm_up()
-            except PhotoregError:
-                logging.getLogger(__name__).exception("The warm-up failed")
             self._send(Ready(time.monotonic() - started))
         else:
             self._send(Ready(0.0))
         while True:
-            try:
+            # What is wrong with a scene, Refine itself will say.
+            with self._failures(SPARE_TIME):
                 while not self._backlog and not self._connection.poll(REST_S):
                     if not self._use_spare_time():
                         break
-            except PhotoregError:
-                pass  # Refine itself will say what is wrong.
             job = self._backlog.pop(0) if self._backlog else self._connection.recv()
-            try:
+            with self._failures(type(job).__name__):
                 self._do(job)
-            except PhotoregError as error:
-                self._send(Failed(type(job).__name__, str(error)))
-            except (EOFError, OSError, MemoryError) as error:
-                if isinstance(error, MemoryError):
-                    text = "There is not enough memory for that."
-                    self._send(Failed(type(job).__name__, text, traceback.format_exc()))
-                else:
-                    raise
-            except Exception:  # noqa: BLE001 - the border of the process: report.
-                text = "That crashed; the log has the details."
-                self._send(Failed(type(job).__name__, text, traceback.format_exc()))
+
+    @contextlib.contextmanager
+    def _failures(self, job: str) -> Iterator[None]:
+        """Reports what goes wrong with a job; the process goes on."""
+        try:
+            yield
+        except PhotoregError as error:
+            self._send(Failed(job, str(error)))
+        except EOFError:
+            raise  # The app is gone. Where its pipe is broken, sending tells so again.
+        except Exception as error:  # noqa: BLE001 - the border of the process: report.
+            self._send(Failed(job, cause(error), traceback.format_exc()))
 
     def _send(self, event: Event) -> None:
         with self._send_lock:
@@ -297,6 +297,20 @@ class WorkerProcess:
         for _ in warm_up_steps():
             if self._connection.poll(0):
                 return
+
+
+def cause(error: Exception) -> str:
+    """What a person is told of an error that nobody foresaw, as the end of a sentence."""
+    match error:
+        case MemoryError():
+            return "there is not enough memory."
+        case OSError(strerror=str(reason)):
+            return f"the system says: {reason}."
+        case _:
+            return (
+                "photoreg did not foresee this; photoreg.log in the project's folder has "
+                "the details."
+            )
 
 
 def masked_photos(scene: SetScene) -> tuple[Photo, ...]:

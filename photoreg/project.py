@@ -67,6 +67,8 @@ class Project:
         self._types = (*types, Camera, Mesh, Photo)
         is_new = not self.path.exists()
         if is_new and not create:
+            if not self.folder.exists():
+                raise InputError(f"There is no folder {self.folder}. Check its name.")
             raise InputError(
                 f"{self.folder} holds no project: there is no {DATABASE} in it."
             )

@@ -58,6 +58,16 @@
     box.select();
   };
 
+  // viser's greys, and in its light theme its teal, are too faint to read on their ground.
+  const style = document.createElement("style");
+  style.textContent = `
+  .mantine-Notification-description{color:inherit}
+  :root[data-mantine-color-scheme=dark]{--mantine-color-dimmed:#a3a3a3}
+  :root[data-mantine-color-scheme=light]{--mantine-color-dimmed:#5c656d;
+    --mantine-color-gray-filled:#495057;--mantine-color-gray-filled-hover:#343a40;
+    --mantine-primary-color-filled:#14857a}`;
+  document.head.append(style);
+
   // viser's buttons do not show their hints: each has it as its title once it appears.
   let hints = {};
   const showHints = () => {

@@ -430,6 +430,8 @@ def test_a_killed_writer_leaves_all_it_told_and_no_lock(tmp_path):
 def test_no_project_and_foreign_or_damaged_files_are_refused_in_a_sentence(tmp_path):
     with pytest.raises(InputError, match="holds no project"):
         Project(tmp_path, create=False)
+    with pytest.raises(InputError, match="There is no folder"):
+        Project(tmp_path / "nowhere", create=False)
     for name, content in (
         ("text", b"this is not a database, but long enough to be looked at" * 30),
         ("short", b"x"),

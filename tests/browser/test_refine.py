@@ -1,8 +1,12 @@
 """A run in the page: started, paused, stopped, reverted, held, seen twice, survived."""
 
+import dataclasses
+import logging
+import multiprocessing
 import os
 import re
 import signal
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +14,7 @@ import pytest
 from app.outcomes import has_moved
 from app.run import PRESET_NAMES
 from app.session import looking_at, setting
+from app.shelf import log_into
 from app.state import Document, PhotoEntry
 from app.words import in_words, number
 from photoreg.box_reach import box_reach
@@ -249,6 +254,60 @@ def test_a_killed_worker_costs_no_work_and_the_next_run_ends(app):
     to_its_end(app)
     drop(app)
     assert "died" not in app.state.runs[-1].outcome
+
+
+class BreaksInPolish(RegistrationConfig):
+    """Settings at which the engine breaks when the search has ended."""
+
+    def __repr__(self) -> str:
+        return repr(
+            RegistrationConfig(**vars(self))
+        )  # What a checkpoint knows them by.
+
+    def __getattribute__(self, name: str) -> Any:
+        if name == "polish" and multiprocessing.parent_process() is not None:
+            raise ZeroDivisionError("of the test")
+        return super().__getattribute__(name)
+
+
+def test_a_run_that_breaks_midway_is_told_kept_and_logged_and_goes_on(app, tmp_path):
+    handler = log_into(tmp_path)
+    assert handler is not None
+    sound = RegistrationConfig.preset("fast")
+    broken = BreaksInPolish(**vars(sound))
+    try:
+        app.session.change(None, setting(preset="fast", config=broken))
+        app.driver.click("Refine")
+        to_its_end(app)
+    finally:
+        logging.getLogger().removeHandler(handler)
+        handler.close()
+    window = app.driver.page
+    window.get_by_text(
+        "The refinement was cut short: photoreg did not foresee this; photoreg.log in "
+        "the project's folder has the details. Tab 3 has it as it was, to go on with.",
+        exact=True,
+    ).wait_for()
+    run = app.state.run
+    assert run.outcome == "The refinement failed; this is the best until then."
+    assert has_moved(run)
+    assert run.curve[-1].best < 1.0
+    text = (tmp_path / "photoreg.log").read_text()
+    assert text.count("Traceback") == 1
+    assert "Refine failed" in text
+    assert text.rstrip().endswith("ZeroDivisionError: of the test")
+    assert len(text) < 5000, "the lines of code, and nothing of the photos"
+    # What broke it is gone: it goes on, and the next run works from its start.
+    run = dataclasses.replace(run, config=sound)
+    app.session.change(None, setting(run=run, config=None))
+    app.driver.click("Go on where it was")
+    wait_until(lambda: app.state.run.start_cost is not None, "it ends", 240)
+    assert not app.state.can_go_on
+    drop(app)
+    start(app, "fast", hold=False)
+    to_its_end(app)
+    assert app.state.run.start_cost is not None
+    drop(app)
 
 
 def test_a_page_that_is_closed_stops_nothing_and_shows_the_run_when_it_comes_back(app):
