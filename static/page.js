@@ -65,7 +65,9 @@
   :root[data-mantine-color-scheme=dark]{--mantine-color-dimmed:#a3a3a3}
   :root[data-mantine-color-scheme=light]{--mantine-color-dimmed:#5c656d;
     --mantine-color-gray-filled:#495057;--mantine-color-gray-filled-hover:#343a40;
-    --mantine-primary-color-filled:#14857a}`;
+    --mantine-primary-color-filled:#14857a}
+  :root[data-mantine-color-scheme=light] .mantine-Button-root{
+    --mantine-primary-color-filled:#26a69a;--mantine-primary-color-filled-hover:#1d9e90}`;
   document.head.append(style);
 
   // viser's buttons do not show their hints: each has it as its title once it appears.
