@@ -27,6 +27,7 @@ def home_view(
     fov_rad: float,
     aspect: float,
     gizmo_share: float,
+    alone: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Position and target, in page axes, from which everything is in the frame.
 
@@ -41,6 +42,7 @@ def home_view(
         aspect: Width over height of the canvas.
         gizmo_share: How far the arrows of a camera's gizmo reach on the canvas, in
             heights of it; they are as long wherever the camera stands.
+        alone: The cameras are not shown; the object alone fills the canvas.
     """
     reach = 2.0 * gizmo_share * np.tan(0.5 * fov_rad)
     up = np.array(state.document.up)
@@ -55,8 +57,9 @@ def home_view(
     for entry in state.document.photos:
         rotation, position = frame.pose(entry.camera)
         corners = frustum_corners(entry.camera) @ rotation.T + position
-        groups.append(np.vstack([position[None].repeat(3, axis=0), corners]))
-        arrows.append(np.vstack([rotation.T, np.zeros_like(corners)]))
+        if not alone:
+            groups.append(np.vstack([position[None].repeat(3, axis=0), corners]))
+            arrows.append(np.vstack([rotation.T, np.zeros_like(corners)]))
         toward += position / max(float(np.linalg.norm(position)), 1e-9)
     toward -= up * (toward @ up)
     if np.linalg.norm(toward) < 0.1:

@@ -91,7 +91,7 @@ class Viewport:
         self._stands_at: Camera | None = None
         self._aim: np.ndarray | None = None
         self._settling_until = 0.0
-        self._at_home: tuple[np.ndarray, float] | None = None
+        self._at_home: tuple[np.ndarray, float, bool] | None = None
         self._last_move = -np.inf
         self._gesture = 0
         self._told_at = -np.inf
@@ -109,6 +109,7 @@ class Viewport:
                 self.free()
             elif self._session.state.selected_photo is not None:
                 self._look_through(mode)
+            self._wake()
 
     def free(self) -> None:
         """Back to the view from before looking through; home if there already."""
@@ -130,11 +131,17 @@ class Viewport:
                 self.client.camera.fov = FREE_FOV
 
     def pick(self, on: bool) -> None:
-        """Clicks on the model place points, or no longer do: no camera in their way."""
+        """Clicks on the model place points, or no longer do: no camera in their way.
+
+        A view that nobody has turned yet shows the object alone, as large as it goes.
+        """
         with self._lock:
-            if on != self._is_picking:
-                self._is_picking = on
-                self._hide()
+            if on == self._is_picking:
+                return
+            self._is_picking = on
+            self._hide()
+            if self.mode == "free":
+                self._keep_home(self._session.state)
 
     def fit(self) -> None:
         """Inspect: the whole photo again."""
@@ -169,7 +176,6 @@ class Viewport:
         if was_free:
             self._hide()
         self._stands_at = None
-        self._wake()
 
     def _leave_inspect(self) -> None:
         if self.mode != "inspect":
@@ -178,28 +184,34 @@ class Viewport:
         self.client.camera.max_orbit_distance = FARTHEST_PIVOT
 
     def go_home(self, state: State) -> None:
-        """The view from which mesh and cameras are all seen."""
+        """The view from which the mesh is seen, and the cameras where they are shown."""
         camera = self.client.camera
         aspect = camera.image_width / max(camera.image_height, 1)
         # On a screen of many pixels an inch the canvas has more of them than this.
         gizmo_share = GIZMO_PX / max(camera.image_height, 3.0 * GIZMO_PX)
         position, look_at = home_view(
-            state, self._scene.frame, FREE_FOV, aspect, gizmo_share
+            state,
+            self._scene.frame,
+            FREE_FOV,
+            aspect,
+            gizmo_share,
+            alone=self._is_picking,
         )
-        self._at_home = (position, aspect)
+        self._at_home = (position, aspect, self._is_picking)
         with self.client.atomic():
             _place(self.client, position, look_at, np.array(state.document.up))
             camera.fov = FREE_FOV
 
-    def _follow_window(self, state: State) -> None:
-        """Fits the first view again when the canvas gets its final shape."""
+    def _keep_home(self, state: State) -> None:
+        """Fits the first view again when the canvas, or what is shown, has changed."""
         if self._at_home is None:
             return
-        position, aspect = self._at_home
+        position, aspect, was_picking = self._at_home
         camera = self.client.camera
         if np.abs(np.array(camera.position) - position).max() > HOME_TOLERANCE:
             return  # The user has moved on, or the view is not there yet.
-        if abs(camera.image_width / max(camera.image_height, 1) / aspect - 1.0) > 0.02:
+        change = camera.image_width / max(camera.image_height, 1) / aspect - 1.0
+        if abs(change) > 0.02 or was_picking != self._is_picking:
             self.go_home(state)
 
     # What follows from a change of state.
@@ -216,7 +228,7 @@ class Viewport:
                 if self.mode == "free":
                     self.go_home(state)
             if self.mode == "free":
-                self._follow_window(state)
+                self._keep_home(state)
                 self._photo.show_none(state.dark)
                 return
             entry = state.selected_photo
@@ -265,7 +277,7 @@ class Viewport:
             state = self._session.state
             entry = state.selected_photo
             if self.mode == "free":
-                self._follow_window(state)
+                self._keep_home(state)
             elif entry is not None:
                 if self.mode == "move":
                     self._show_photo(state, entry)
@@ -277,8 +289,8 @@ class Viewport:
         self, view: viser.CameraHandle, state: State, entry: PhotoEntry
     ) -> None:
         """Move: the camera goes where the view goes."""
-        if state.run.status != "idle":
-            return
+        if state.run.status != "idle" or entry.camera is not self._stands_at:
+            return  # A view that is not yet where the camera is does not carry it.
         now, index = time.monotonic(), state.selected
         rotation = vtf.SO3(view.wxyz).as_matrix()
         moved = self._scene.frame.with_pose(

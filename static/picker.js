@@ -15,7 +15,7 @@
   .pr-view canvas{position:absolute;inset:0;width:100%;height:100%}
   .pr-bar{display:flex;gap:4px;align-items:center;flex-wrap:wrap}
   .pr-bar button{font:inherit;color:inherit;background:rgba(128,140,155,.16);border:0;
-    border-radius:5px;padding:4px 8px;cursor:pointer;line-height:1.25}
+    border-radius:5px;padding:4px 6px;cursor:pointer;line-height:1.25}
   .pr-bar button:hover{background:rgba(128,140,155,.32)}
   .pr-bar button[aria-pressed=true]{background:#1d9e90;color:#fff}
   .pr-bar input{flex:1 1 60px;min-width:50px;accent-color:#1d9e90}
@@ -373,10 +373,23 @@
           : "Paint what shall count again.";
   }
 
+  // Clicks on the model place points while the picker is on screen, or the tab that it
+  // was scrolled out of.
   let home = null;
+  let shown = false;
+  const seen = new Map();
+  const sight = new IntersectionObserver((entries) => {
+    for (const entry of entries) seen.set(entry.target, entry.isIntersecting);
+    const now = [...seen.values()].some(Boolean);
+    if (shown !== now) photoreg.send("picking", { on: (shown = now) });
+  });
   photoreg.define("picker", (element) => {
     home = element.parentElement;
     if (!root.classList.contains("pr-large")) home.append(root);
+    sight.disconnect();
+    for (const target of seen.keys()) if (!target.isConnected) seen.delete(target);
+    sight.observe(view);
+    sight.observe(home.closest(".mantine-ScrollArea-content") ?? home);
     draw();
   });
   photoreg.define("picker-state", (element) => {
@@ -393,14 +406,6 @@
   new ResizeObserver(() => {
     if (fitted && view.clientWidth) fitted = null;
     draw();
-  }).observe(view);
-  // Clicks on the model place points while the picker is on screen.
-  let shown = false;
-  new IntersectionObserver(([entry]) => {
-    if (shown !== entry.isIntersecting) {
-      shown = entry.isIntersecting;
-      photoreg.send("picking", { on: shown });
-    }
   }).observe(view);
   photoreg.picker = {
     toClient: (u, v) => {

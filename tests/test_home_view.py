@@ -12,13 +12,14 @@ FOV_RAD = np.radians(14.0)
 
 
 @pytest.mark.parametrize("aspect", [0.6, 0.8, 1.5, 2.2])
-@pytest.mark.parametrize("gizmo_share", [0.1, 0.2])
-def test_object_cameras_and_gizmos_are_in_the_frame(aspect, gizmo_share):
+@pytest.mark.parametrize(("gizmo_share", "alone"), [(0.1, 0), (0.2, 0), (0.2, 1)])
+def test_what_is_shown_fills_the_frame(aspect, gizmo_share, alone):
+    """Object, cameras and their gizmos; or the object alone."""
     mesh, photos, cameras = toy_scene()
     entries = tuple(map(PhotoEntry, photos, cameras))
     state = State(document=Document(mesh, mesh, entries))
     frame = DisplayFrame.of(mesh)
-    position, target = home_view(state, frame, FOV_RAD, aspect, gizmo_share)
+    position, target = home_view(state, frame, FOV_RAD, aspect, gizmo_share, alone)
     forward = (target - position) / np.linalg.norm(target - position)
     right = np.cross(forward, state.document.up)
     right /= np.linalg.norm(right)
@@ -30,7 +31,7 @@ def test_object_cameras_and_gizmos_are_in_the_frame(aspect, gizmo_share):
         return 0.5 * np.column_stack([x, y]) / depth[:, None] / np.tan(0.5 * FOV_RAD)
 
     shown = [on_canvas(frame.to_page(mesh.vertices))]
-    for camera in cameras:
+    for camera in () if alone else cameras:
         rotation, centre = frame.pose(camera)
         shown.append(on_canvas(centre[None]))
         shown.append(shown[-1] + gizmo_share * rotation.T @ axes[:2].T)

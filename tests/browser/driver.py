@@ -97,9 +97,10 @@ class Driver:
         self.page.get_by_role("button", name=button, exact=True).click()
 
     def choose(self, group: str, option: str) -> None:
-        """Chooses one of a row of options, by their exact labels."""
+        """Chooses one of a row of options, by their exact labels; it is marked then."""
         row = self.page.get_by_role("radiogroup", name=group, exact=True)
         row.get_by_role("radio", name=option, exact=True).click()
+        row.get_by_role("radio", name=option, exact=True, checked=True).wait_for()
 
     def canvas(self) -> dict[str, float]:
         """Position and size of the 3-D canvas in the window."""

@@ -38,6 +38,19 @@ def drop(driver: Driver, files: Mapping[str, bytes]) -> list[str]:
     return driver.page.evaluate(_DROP, texts)
 
 
+def open_points(app: App) -> None:
+    """Opens the Points tab of a view that nobody has turned: the model comes to fill it."""
+    driver, (viewport, *_) = app.driver, app.page._viewports.values()
+    driver.tab("Points")
+
+    def fills() -> bool:
+        place, _, is_alone = viewport._at_home or (np.full(3, np.inf), 1.0, False)
+        off = np.abs(driver.viewport_camera()[0] - place).max()
+        return is_alone and bool(off < 1e-4)
+
+    wait_until(fills, "the model alone fills the view")
+
+
 def in_picker(driver: Driver, pixel: Sequence[float] | np.ndarray) -> list[float]:
     """Window pixels of a pixel of the photo, once the panel is scrolled to show it."""
     driver.page.locator(".pr-view").scroll_into_view_if_needed()
@@ -48,13 +61,19 @@ def in_picker(driver: Driver, pixel: Sequence[float] | np.ndarray) -> list[float
 def places_to_click(
     app: App, camera: Camera, n: int
 ) -> list[tuple[tuple[int, int], np.ndarray]]:
-    """Far apart, window pixels over the model that the photo sees, and where it does."""
+    """Window pixels over the model that the photo sees, and where it does.
+
+    Far apart on the model and in the photo: a click on a marker would only choose it.
+    """
     spots, pixels, world = _shared_places(app, camera)
     assert len(spots) > 3 * n, "model and photo share much of the surface"
     chosen = [0]
     while len(chosen) < n:
-        apart = np.linalg.norm(world[:, None] - world[chosen][None], axis=2)
-        chosen.append(int(np.argmax(apart.min(axis=1))))
+        apart = [
+            np.linalg.norm(at[:, None] - at[chosen][None], axis=2) / np.ptp(at)
+            for at in (world, pixels)
+        ]
+        chosen.append(int(np.argmax(np.minimum(*apart).min(axis=1))))
     return [((int(spots[i][0]), int(spots[i][1])), pixels[i]) for i in chosen]
 
 
@@ -156,7 +175,7 @@ def whole_way(app: App, scene: Scene) -> Iterator[str]:
     )
     wait_until(lambda: app.state.agreement is not None, "they are measured")
     yield "open"
-    driver.tab("Points")
+    open_points(app)
     for i, entry in enumerate(app.state.document.photos):
         driver.page.keyboard.press(str(i + 1))
         wait_until(lambda i=i: app.state.selected == i, "the photo is chosen")

@@ -157,6 +157,27 @@ def test_the_wheel_in_move_brings_the_camera_nearer_on_its_own_axis(app):
     undo(app, before)
 
 
+def test_the_view_that_is_active_is_marked(app):
+    driver, (viewport,) = app.driver, app.page._viewports.values()
+    row = driver.page.get_by_role("radiogroup", name="View", exact=True)
+    for label in ("Inspect", "Free", "Move", "Free"):
+        driver.choose("View", label)
+        assert viewport.mode == label.lower()
+        driver.frames(10)  # Until nothing else has the page painted anew.
+        marked = row.get_by_role("radio", checked=True).all_inner_texts()
+        assert marked == [label]
+
+
+def test_a_report_from_before_the_view_was_there_moves_no_camera(app):
+    (viewport,), before = app.page._viewports.values(), app.state.document
+    with viewport._lock:  # Nothing is painted meanwhile.
+        viewport.choose("move")
+        viewport._on_camera(viewport.client.camera)
+    assert app.state.document is before
+    wait_for_view(app, app.driver)
+    assert app.state.document is before
+
+
 def test_what_lies_over_the_photo_is_chosen_in_the_page(app):
     driver, scene = app.driver, app.page.scene
     driver.choose("View", "Inspect")
@@ -334,7 +355,7 @@ def test_numbers_typed_key_by_key_are_taken_or_refused_in_one_sentence(app):
     driver.page.keyboard.press("Control+a")
     driver.page.keyboard.type("99999", delay=30)
     driver.page.get_by_text("The principal point's x should be").wait_for()
-    driver.page.get_by_label("Focal length, px").click()
+    driver.page.get_by_label("Focal, px").click()
     app.driver.dismiss_toasts()
     assert abs(camera_of(app).K[0, 2]) <= 320
     assert np.array_equal(camera_of(app).R_cam_world, now.R_cam_world)

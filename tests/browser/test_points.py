@@ -12,7 +12,12 @@ from app.masks import decode_mask
 from app.session import select, setting, with_document
 from photoreg.evaluate import projection_error
 from tests.browser.driver import wait_until
-from tests.browser.own_files import click_pairs, in_picker, places_to_click
+from tests.browser.own_files import (
+    click_pairs,
+    in_picker,
+    open_points,
+    places_to_click,
+)
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +25,7 @@ def running(open_app_once, toy_document):
     """One app for the tests of this file; it takes seconds to start."""
     app = open_app_once(toy_document)
     app.driver.dismiss_toasts()
-    app.driver.tab("Points")
+    open_points(app)
     return app
 
 
@@ -131,9 +136,12 @@ def test_two_wrong_pairs_of_eight_are_named_and_the_camera_holds(app, toy_docume
     driver, mesh = app.driver, toy_document.mesh
     true = toy_document.photos[0].camera
     places = places_to_click(app, true, 8)
-    # Two points that somebody mistook: a tenth of the photo aside.
-    for i, way in ((2, (16.0, 5.0)), (6, (-14.0, -8.0))):
-        places[i] = (places[i][0], places[i][1] + way)
+    # Two points that somebody mistook: a tenth of the photo aside, clear of the others.
+    for i in (2, 6):
+        others = np.array([at for j, (_, at) in enumerate(places) if j != i])
+        wrong = places[i][1] + [(16, 5), (16, -5), (-16, 5), (-16, -5)]
+        clear = np.linalg.norm(wrong[:, None] - others[None], axis=2).min(axis=1)
+        places[i] = (places[i][0], wrong[int(np.argmax(clear))])
     click_pairs(app, places)
     driver.click("Solve")
     wait_until(lambda: app.state.undo_name == "Solve camera 1", "it is solved", 30)
