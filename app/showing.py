@@ -27,7 +27,7 @@ def needs_overlay(old: State, new: State) -> bool:
     """Whether the overlay of the new state is another one."""
     return (
         wanted_view(new) != wanted_view(old)
-        or old.document.mesh is not new.document.mesh
+        or not new.document.shows_same_as(old.document)
         or old.document.masks != new.document.masks
         or old.run.is_active
         or not _same_cameras(shown_cameras(new), shown_cameras(old))

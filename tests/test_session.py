@@ -10,6 +10,7 @@ from app import outcomes, photo_list
 from app import session as rules
 from app.run import KeptSearch, Run, Status
 from app.session import Session
+from app.showing import needs_overlay
 from app.state import Agreement, Document, PhotoEntry, State, same_camera
 from app.warm_up import toy_scene
 from photoreg.camera import Camera
@@ -161,7 +162,9 @@ def test_a_photo_moved_in_the_list_stays_selected_and_stops_at_the_ends(session)
 def test_a_new_name_takes_everything_along_and_must_be_free(session):
     entry = session.state.document.photos[0]
     session.change("Truth", rules.with_document(truth=(("toy-0.png", entry.camera),)))
+    before = session.state
     session.change("Rename", photo_list.renamed("toy-0.png", "  left side.png "))
+    assert needs_overlay(before, session.state), "what was measured is dropped"
     renamed = session.state.document.photos[0]
     assert names(session) == ["left side.png", "toy-1.png"]
     assert renamed.photo.pixels is entry.photo.pixels
