@@ -22,13 +22,21 @@ SECTIONS = (
         ),
     ),
     (
+        "Move",
+        (
+            ("drag", "orbit: the camera circles the object"),
+            ("right drag", "shift the camera"),
+            ("wheel", "nearer, farther"),
+        ),
+    ),
+    (
         "Free",
         (
             ("drag", "turn the scene"),
             ("right drag", "shift the scene"),
             ("wheel", "nearer, farther"),
             ("W A S D Q E, arrows", "walk, turn"),
-            ("drag an arrow, a square, an arc", "move the camera, turn it"),
+            ("drag an arrow, an arc", "move the camera, turn it"),
         ),
     ),
     (
@@ -48,14 +56,6 @@ SECTIONS = (
             ("Delete", "remove the marker in focus"),
         ),
     ),
-    (
-        "Move",
-        (
-            ("drag", "orbit: the camera circles the object"),
-            ("right drag", "shift the camera"),
-            ("wheel", "nearer, farther"),
-        ),
-    ),
 )
 KEY = (
     "background:rgba(128,140,155,.2);border-radius:4px;padding:1px 6px;"
@@ -64,20 +64,24 @@ KEY = (
 
 
 def help_html() -> str:
-    """All keys and mouse actions as a table."""
-    rows = ""
+    """All keys and mouse actions: a table a section, in two columns where they fit."""
+    tables = ""
     for title, entries in SECTIONS:
-        rows += (
-            '<tr><td colspan="2" style="padding:10px 0 3px;font-weight:650">'
-            f"{title}</td></tr>"
-        )
-        rows += "".join(
+        rows = "".join(
             f'<tr><td style="padding:2px 14px 2px 0;vertical-align:top">'
             f'<span style="{KEY}">{keys}</span></td>'
             f'<td style="padding:2px 0">{what}</td></tr>'
             for keys, what in entries
         )
-    return f'<table style="font-size:13px;line-height:1.4;margin:0 4px">{rows}</table>'
+        tables += (
+            '<div style="break-inside:avoid;padding-bottom:10px"><div style="'
+            f'font-weight:650;padding-bottom:3px">{title}</div>'
+            f"<table>{rows}</table></div>"
+        )
+    return (
+        '<div class="pr-keys" style="columns:2 320px;column-gap:26px;font-size:13px;'
+        f'line-height:1.4;margin:0 4px">{tables}</div>'
+    )
 
 
 class Help:

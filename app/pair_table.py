@@ -68,18 +68,23 @@ def table_html(state: State, rows: list[dict[str, Any]]) -> str:
 def _verdict_html(state: State) -> str:
     entry, solution = state.selected_photo, state.current_solution
     assert entry is not None
+    dim = ""
+    if solution is None and state.solution and state.solution.photo is entry.photo:
+        # Until the new one is there: a panel that shrinks for a moment would move the
+        # photo under the hand.
+        solution, dim = state.solution, ' style="opacity:.5"'
     n = len(entry.whole_pairs)
     if n < N_POSE:
         missing = N_POSE - n
-        more = "one more pair" if missing == 1 else f"{missing} more pairs"
+        more = "One more pair" if missing == 1 else f"{missing} more pairs"
         return (
             f'<div style="opacity:.75;margin-bottom:6px">{more} to place the camera. '
             f"{NEEDS}</div>"
         )
-    if solution is None:
+    if solution is None or len(solution.pairs) < N_POSE:
         return '<div style="opacity:.75;margin-bottom:6px">Solving …</div>'
     if solution.resection is None:
-        return _note_html(solution.problem, bad=True)
+        return f"<div{dim}>{_note_html(solution.problem, bad=True)}</div>"
     resection = solution.resection
     error = resection.expected_error_px
     colour = "#2dbeaf" if error < 20 and not resection.warnings else "#e8a33d"
@@ -89,10 +94,11 @@ def _verdict_html(state: State) -> str:
         f'<span style="opacity:.75">{html.escape(resection.summary)}</span></div>'
     )
     left_out = bool((~resection.inliers).any())
-    return text + "".join(
+    text += "".join(
         _note_html(_by_number(warning, solution.pairs), bad=left_out and i == 0)
         for i, warning in enumerate(resection.warnings)
     )
+    return f"<div{dim}>{text}</div>"
 
 
 def _by_number(warning: str, pairs: tuple[PointPair, ...]) -> str:

@@ -71,16 +71,16 @@ class AlignPanel:
                 "object keeps its size in the photo.",
             )
             self._focal = gui.add_number(
-                "Focal length, px",
+                "Focal, px",
                 1000.0,
                 step=1.0,
-                hint="In pixels of this photo at its full size.",
+                hint="The focal length in pixels of this photo at its full size.",
             )
             self._film = gui.add_number(
-                "35 mm film, mm",
+                "Focal, 35 mm",
                 50.0,
                 step=0.1,
-                hint="The same as a lens on 35 mm film.",
+                hint="In millimetres: that of a lens on 35 mm film with this view.",
             )
             self._angle = gui.add_number(
                 "View angle, °", 40.0, step=0.1, hint="Over the photo's longer side."

@@ -1,5 +1,6 @@
 """The panel on the left: the overlay while a run goes on, before and after once it ended."""
 
+import html
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,7 @@ SERIES: tuple[viser.uplot.Series, ...] = (
     {"label": "restart", "stroke": RESTART, "width": 0, "points": dots(RESTART)},
     {"label": "level", "stroke": LEVEL, "width": 0, "points": dots(LEVEL)},
 )
+CAPTION = "margin:0 13px 8px;font-size:13.5px;line-height:1.35;overflow-wrap:anywhere"
 EMPTY_CURVE = (np.array([0.0, 1.0]), *[np.full(2, np.nan)] * 6)
 EMPTY_PICTURE = np.full((480, 640, 3), 38, dtype=np.uint8)
 KEY = (
@@ -61,7 +63,7 @@ class OverlayPanel:
         self._compared: tuple[Compared, int] | None = None
         self._curve: object = ()
         session = conductor.session
-        self._caption = gui.add_markdown("")
+        self._caption = gui.add_html("")
         self._image = gui.add_image(EMPTY_PICTURE, format="jpeg")
         self._comparison = gui.add_html("", visible=False)
         self._styles = Choice(
@@ -193,11 +195,14 @@ def curve_arrays(curve: tuple[CurvePoint, ...]) -> tuple[np.ndarray, ...]:
 
 def _caption(state: State) -> str:
     used = state.document.used
-    if len(used) < 2 or state.document.mesh is None:
-        return "Two photos in use are needed for an overlay."
-    onto = state.overlay_onto
-    source = used[(onto + 1) % len(used)]
-    caption = f"**{source.name}** carried over the surface onto **{used[onto].name}**"
-    if state.run.error_px is not None:
-        caption += f" · true error **{state.run.error_px:.2f} px**"
-    return caption
+    text = "Two photos in use are needed for an overlay."
+    if len(used) > 1 and state.document.mesh is not None:
+        onto = state.overlay_onto
+        source = used[(onto + 1) % len(used)]
+        text = (
+            f"<b>{html.escape(source.name)}</b> carried over the surface onto "
+            f"<b>{html.escape(used[onto].name)}</b>"
+        )
+        if state.run.error_px is not None:
+            text += f" · true error <b>{state.run.error_px:.2f} px</b>"
+    return f'<div style="{CAPTION}">{text}</div>'

@@ -346,20 +346,24 @@ class Page:
 def travel_tools(state: State) -> list[Tool]:
     """Undo and redo by name, and the help."""
     idle = state.run.status == "idle"
-    tools = [
+    undo, redo = state.undo_name, state.redo_name
+    return [
         Tool(
-            value,
-            word if name is None else f"{word}: {name}",
-            icon,
-            f" {word if name is None else name}",
-            name is not None and idle,
-        )
-        for value, word, name, icon in (
-            ("undo", "Undo", state.undo_name, viser.Icon.ARROW_BACK_UP),
-            ("redo", "Redo", state.redo_name, viser.Icon.ARROW_FORWARD_UP),
-        )
+            "undo",
+            "Undo" if undo is None else f"Undo: {undo}",
+            viser.Icon.ARROW_BACK_UP,
+            f" {undo or 'Undo'}",
+            undo is not None and idle,
+        ),
+        Tool(
+            "redo",
+            "Redo" if redo is None else f"Redo: {redo}",
+            viser.Icon.ARROW_FORWARD_UP,
+            "" if redo is None else f" {redo}",
+            redo is not None and idle,
+        ),
+        Tool("help", "Keys and mouse (?)", viser.Icon.KEYBOARD),
     ]
-    return [*tools, Tool("help", "Keys and mouse (?)", viser.Icon.KEYBOARD)]
 
 
 def status_line(state: State, is_kept: bool = True) -> str:

@@ -24,6 +24,7 @@ BUTTON = (
     "8px;font:inherit;font-size:12.5px;line-height:1.35;cursor:pointer;color:inherit;"
     "background:transparent;white-space:nowrap;overflow:hidden;text-overflow:ellipsis"
 )
+COLUMNS = ";display:grid;grid-template-columns:repeat(3,auto)"
 HELP = "margin:-3px 14px 9px;font-size:12.5px;line-height:1.35;opacity:.75"
 
 
@@ -95,6 +96,7 @@ class Choice:
         letters = sum(len(option.label) for option in self._options.values())
         # Many short words fit into one row with less around each.
         is_tight = len(self._options) > 4 and letters < 24
+        columns = COLUMNS if len(self._options) > 4 and not is_tight else ""
         buttons = "".join(
             _button(
                 _sending(self._act, key),
@@ -107,14 +109,20 @@ class Choice:
             )
             for key, option in self._options.items()
         )
-        chosen = self._options.get(value)
+        # All lie over each other, so that what comes below keeps its place.
+        helps = "".join(
+            f'<div style="grid-area:1/1{"" if key == value else ";visibility:hidden"}">'
+            f"{option.help}</div>"
+            for key, option in self._options.items()
+            if option.help
+        )
         put(
             self._html,
             "content",
             f'<div style="{ROW}"><div style="{LABEL}">{html.escape(self._label)}</div>'
-            f'<div style="{TROUGH}" role="radiogroup" aria-label='
+            f'<div style="{TROUGH}{columns}" role="radiogroup" aria-label='
             f'"{html.escape(self._label)}">{buttons}</div></div>'
-            + help_line(chosen.help if chosen else ""),
+            + (f'<div style="{HELP};display:grid">{helps}</div>' if helps else ""),
         )
         put(self._html, "visible", visible)
 
@@ -141,14 +149,16 @@ class Tools:
         self.show(tools)
 
     def show(self, tools: Sequence[Tool], visible: bool = True) -> None:
-        """Makes the buttons as they should be now."""
+        """Makes the buttons as they should be now; words get the room icons leave."""
+        worded = any(tool.label for tool in tools)
         buttons = "".join(
             _button(
                 (_holding if self._repeat else _sending)(self._act, tool.value),
                 (_icon(tool.icon) if tool.icon else "") + html.escape(tool.label),
                 f'aria-label="{html.escape(tool.title)}" '
                 f'title="{html.escape(tool.title)}"',
-                "flex-basis:0;padding:4px 3px;text-align:center",
+                f"flex:{1 if tool.label or not worded else '0 0 34px'};padding:4px 3px"
+                ";text-align:center",
                 tool.enabled,
             )
             for tool in tools

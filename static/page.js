@@ -3,6 +3,17 @@
 // Panels mount themselves: an <img data-kind=...> that fails to load calls mount(this).
 (() => {
   const photoreg = (window.photoreg ??= {});
+  // In narrow panels the scrollbar would lie on the inputs, and the arrows of three
+  // numbers in a row on their digits: the keyboard's arrows do the same.
+  const style = document.createElement("style");
+  const first = ".mantine-NumberInput-root:first-child:nth-last-child(3)";
+  const triple = `:is(${first}, ${first} ~ .mantine-NumberInput-root)`;
+  style.textContent = `
+  .mantine-ScrollArea-root{--scrollarea-scrollbar-size:6px!important}
+  ${triple} .mantine-NumberInput-section{display:none}
+  ${triple} input{padding-inline:.35em!important}
+  .mantine-Modal-content:has(.pr-keys){--modal-size:46rem}`;
+  document.head.append(style);
   const kinds = (photoreg.kinds ??= {});
   let count = 0;
 
