@@ -8,6 +8,7 @@ import pytest
 
 from app import points
 from app import session as rules
+from app.pair_table import pair_rows, table_html
 from app.run import Run
 from app.session import Session
 from app.solver import Solver, solved
@@ -174,6 +175,24 @@ def test_the_pairs_of_a_photo_selected_during_a_run_are_solved(session, document
         wait_until(lambda: session.state.current_solution, "photo 2 is solved", 20)
     finally:
         solver.close()
+
+
+def test_the_old_verdict_stays_until_the_new_one_is_there(session, document):
+    entry = document.photos[0]
+    entry = dataclasses.replace(entry, pairs=true_pairs(entry, document.mesh, 7))
+    old = dataclasses.replace(entry, pairs=entry.pairs[:6])
+    session.change("Points", rules.with_entry(0, pairs=entry.pairs))
+
+    def table() -> str:
+        return table_html(session.state, pair_rows(session.state))
+
+    assert "Solving" in table()
+    session.change(None, rules.setting(solution=solved(old, document.mesh)))
+    assert "from 6 pairs" in table()
+    session.change(None, rules.setting(solution=solved(entry, document.mesh)))
+    assert "from 7 pairs" in table()
+    session.change("Clear", rules.with_entry(0, pairs=()))
+    assert "4 more pairs" in table()
 
 
 def test_a_click_while_older_pairs_are_solved_still_places_the_camera(
