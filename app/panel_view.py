@@ -27,13 +27,13 @@ MODES: dict[Mode, Option] = {
     ),
     "move": Option(
         "Move",
-        "Look through the photo and take the camera along: drag orbits, right button "
-        "pans, wheel nears.",
+        "Look through and take the camera along: drag orbits, right drag pans, wheel "
+        "nears.",
     ),
 }
 GIZMOS = {
     "move": Option("Move", "At the camera: arrows move it, arcs turn it."),
-    "orbit": Option("Orbit", "About the object: arcs carry the camera around it."),
+    "orbit": Option("Orbit", "Arcs carry the camera around the object."),
 }
 
 

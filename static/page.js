@@ -3,17 +3,6 @@
 // Panels mount themselves: an <img data-kind=...> that fails to load calls mount(this).
 (() => {
   const photoreg = (window.photoreg ??= {});
-  // In narrow panels the scrollbar would lie on the inputs, and the arrows of three
-  // numbers in a row on their digits: the keyboard's arrows do the same.
-  const style = document.createElement("style");
-  const first = ".mantine-NumberInput-root:first-child:nth-last-child(3)";
-  const triple = `:is(${first}, ${first} ~ .mantine-NumberInput-root)`;
-  style.textContent = `
-  .mantine-ScrollArea-root{--scrollarea-scrollbar-size:6px!important}
-  ${triple} .mantine-NumberInput-section{display:none}
-  ${triple} input{padding-inline:.35em!important}
-  .mantine-Modal-content:has(.pr-keys){--modal-size:46rem}`;
-  document.head.append(style);
   const kinds = (photoreg.kinds ??= {});
   let count = 0;
 
@@ -70,9 +59,17 @@
   };
 
   // viser's greys, and in its light theme its teal, are too faint to read on their ground.
+  // In narrow panels its scrollbar would lie on the inputs, and the arrows of three numbers
+  // in a row on their digits: the keyboard's arrows do the same.
+  const first = ".mantine-NumberInput-root:first-child:nth-last-child(3)";
+  const triple = `:is(${first}, ${first} ~ .mantine-NumberInput-root)`;
   const style = document.createElement("style");
   style.textContent = `
   .mantine-Notification-description{color:inherit}
+  .mantine-ScrollArea-root{--scrollarea-scrollbar-size:6px!important}
+  ${triple} .mantine-NumberInput-section{display:none}
+  ${triple} input{padding-inline:.35em!important}
+  .mantine-Modal-content:has(.pr-keys){--modal-size:46rem}
   :root[data-mantine-color-scheme=dark]{--mantine-color-dimmed:#a3a3a3}
   :root[data-mantine-color-scheme=light]{--mantine-color-dimmed:#5c656d;
     --mantine-color-gray-filled:#495057;--mantine-color-gray-filled-hover:#343a40;
