@@ -211,8 +211,9 @@ class ProjectPanel:
         else:
             name = project.folder.name
             facts = f"In {html.escape(str(project.folder))}.<br>" + (
-                html.escape(project.read_only)
-                or "Everything is kept as you work, undo included."
+                "Open to look at only; the line at the top says why."
+                if project.read_only
+                else "Everything is kept as you work, undo included."
             )
         put(self._folder, "label", f"Project: {shortened(name, LABEL_CHARACTERS)}")
         put(self._facts, "content", help_line(f'<div style="height:4px"></div>{facts}'))

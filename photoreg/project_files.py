@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import datetime
 import os
 import socket
 import sqlite3
@@ -10,7 +11,6 @@ from pathlib import Path
 from typing import IO, Literal
 
 from photoreg.errors import InputError, OutputError
-from photoreg.project_schema import now_utc
 from photoreg.sources import SourceFile, source_file
 
 KEPT = "files"
@@ -238,7 +238,8 @@ class FolderLock:
         self._file = file
         file.seek(0)
         file.truncate()
-        file.write(f"process {os.getpid()} on {socket.gethostname()}, {now_utc()}\n")
+        since = f"{datetime.datetime.now():%Y-%m-%d %H:%M}"
+        file.write(f"process {os.getpid()} on {socket.gethostname()} since {since}\n")
         file.flush()
         return True
 
