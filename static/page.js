@@ -58,7 +58,7 @@
     box.select();
   };
 
-  // viser's greys, and in its light theme its teal, are too faint to read on their ground.
+  // viser's greys, and in its light theme its teal and red, are too faint to read.
   // In narrow panels its scrollbar would lie on the inputs, and the arrows of three numbers
   // in a row on their digits: the keyboard's arrows do the same.
   const first = ".mantine-NumberInput-root:first-child:nth-last-child(3)";
@@ -73,6 +73,7 @@
   :root[data-mantine-color-scheme=dark]{--mantine-color-dimmed:#a3a3a3}
   :root[data-mantine-color-scheme=light]{--mantine-color-dimmed:#5c656d;
     --mantine-color-gray-filled:#495057;--mantine-color-gray-filled-hover:#343a40;
+    --mantine-color-red-filled:#d42a2a;--mantine-color-red-filled-hover:#b82323;
     --mantine-primary-color-filled:#14857a}
   :root[data-mantine-color-scheme=light] .mantine-Button-root{
     --mantine-primary-color-filled:#26a69a;--mantine-primary-color-filled-hover:#1d9e90}`;
