@@ -140,7 +140,7 @@ def test_a_typed_focal_length_out_of_range_is_refused_with_a_sentence(
     driver = app.driver
     driver.tab("2 Align")
     driver.page.get_by_text("Numbers", exact=True).click()
-    box = driver.page.get_by_label("Focal length, px")
+    box = driver.page.get_by_label("Focal, px")
     box.fill("250")
     wait_until(
         lambda: app.state.undo_name == "Focal length 1", "a good value is taken", 20
