@@ -42,7 +42,8 @@ def home_view(
         aspect: Width over height of the canvas.
         gizmo_share: How far the arrows of a camera's gizmo reach on the canvas, in
             heights of it; they are as long wherever the camera stands.
-        alone: The cameras are not shown; the object alone fills the canvas.
+        alone: The cameras are not shown; the object alone fills the canvas, seen from
+            their side.
     """
     reach = 2.0 * gizmo_share * np.tan(0.5 * fov_rad)
     up = np.array(state.document.up)
@@ -67,8 +68,10 @@ def home_view(
     toward /= np.linalg.norm(toward)
     aside = np.cross(up, toward)
     views = []
-    for azimuth in np.radians(AZIMUTHS_DEG):
-        for elevation in np.radians(ELEVATIONS_DEG):
+    # Alone it is seen as the photos see it, not from where it is largest.
+    n_each = 1 if alone else None
+    for azimuth in np.radians(AZIMUTHS_DEG[:n_each]):
+        for elevation in np.radians(ELEVATIONS_DEG[:n_each]):
             level = np.cos(azimuth) * toward + np.sin(azimuth) * aside
             direction = np.cos(elevation) * level + np.sin(elevation) * up
             views.append(
