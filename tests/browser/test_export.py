@@ -5,10 +5,12 @@ import json
 import zipfile
 from typing import Any
 
+import pytest
 import trimesh
 
 from photoreg.formats.camera_set import largest_shift_px
 from photoreg.formats.cameras import read_cameras
+from tests.browser.app import App
 from tests.browser.driver import wait_until
 
 
@@ -19,13 +21,29 @@ def downloaded(driver, button: str) -> tuple[str, bytes]:
     return download.value.suggested_filename, download.value.path().read_bytes()
 
 
-def test_the_texture_is_made_as_chosen_and_downloaded_as_glb(
-    open_app, toy_document, tmp_path
-):
-    app = open_app(toy_document)
+@pytest.fixture(scope="module")
+def app(open_app_once, toy_document) -> App:
+    """One app for both tests, with the Export tab open."""
+    app = open_app_once(toy_document)
+    app.driver.dismiss_toasts()
+    app.driver.tab("4 Export")
+    return app
+
+
+def test_cancel_ends_the_making_of_a_texture(app):
     driver = app.driver
-    driver.dismiss_toasts()
-    driver.tab("4 Export")
+    driver.choose("Size", "8192")
+    driver.click("Make the texture")
+    driver.click("Cancel")
+    wait_until(lambda: app.state.job is None, "it ends", 120)
+    assert app.state.texture is None
+    driver.page.get_by_text("Not made yet.").wait_for()
+
+
+def test_the_texture_is_made_as_chosen_and_downloaded_as_glb(
+    app, toy_document, tmp_path
+):
+    driver = app.driver
     driver.choose("Size", "1024")
     driver.choose("Photos", "Best view")
     driver.choose("Unseen", "One colour")
@@ -67,16 +85,3 @@ def test_the_texture_is_made_as_chosen_and_downloaded_as_glb(
     assert name == "cameras.json"
     entries = json.loads(content)["cameras"]
     assert [e["photo"] for e in entries] == [e.name for e in toy_document.photos]
-
-
-def test_cancel_ends_the_making_of_a_texture(open_app, toy_document):
-    app = open_app(toy_document)
-    driver = app.driver
-    driver.dismiss_toasts()
-    driver.tab("4 Export")
-    driver.choose("Size", "8192")
-    driver.click("Make the texture")
-    driver.click("Cancel")
-    wait_until(lambda: app.state.job is None, "it ends", 120)
-    assert app.state.texture is None
-    driver.page.get_by_text("Not made yet.").wait_for()
