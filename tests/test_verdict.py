@@ -62,7 +62,9 @@ def test_a_doubtful_end_is_the_first_of_the_warnings(polish_after):
     scene = small_scene()
     config = RegistrationConfig.preset("fast")
     # A polish so short that it stays where it began: 15 px off.
-    polish = PolishConfig(blurs_px=(8.0,), points=(100,), rounds=(1,), iterations=1)
+    polish = PolishConfig(
+        blurs_px=(8.0,), points=(100,), rounds=(1,), extra_rounds=0, iterations=1
+    )
     genetic = dataclasses.replace(config.genetic, population=10, generations=1)
     config = dataclasses.replace(
         config, genetic=genetic, polish=polish, polish_after=polish_after
