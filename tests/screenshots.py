@@ -20,7 +20,7 @@ from app.session import Session, setting
 from tests.browser.driver import Driver, launch, wait_until
 
 FOLDER = Path(__file__).parents[1] / "docs"
-MAX_BYTES = 250_000
+MAX_BYTES = 500_000
 """Pictures above this are reduced to 256 colours."""
 
 
@@ -97,6 +97,7 @@ def refinement(session: Session, driver: Driver) -> None:
         session.change(None, setting(dark=dark, preset="thorough"))
         wait_until(lambda: session.state.reach is not None, "the reach is known")
         driver.frames(10)
+        driver.dismiss_toasts()
         driver.click("Refine")
         wait_until(lambda: session.state.run.generation > 15, "it searches", 300)
         picture(driver, f"refine-start-{theme}", settle=False)
