@@ -81,6 +81,7 @@ class Page:
         self._scene_at, self._is_scene_late = -np.inf, False
         self._drag = 0
         self._wake = threading.Event()
+        self._connecting = threading.Lock()
         self._closed = False
         self.server.scene.configure_default_lights(cast_shadow=shadows)
         self.scene = Scene(self.server)
@@ -284,7 +285,8 @@ class Page:
         viewport = Viewport(
             client, self.conductor, self.scene, self._hands, self._wake.set
         )
-        with self._align_tab:
+        # A tab can be filled by one thread at a time; several may connect at once.
+        with self._connecting, self._align_tab:
             panel = ViewPanel(viewport, self.conductor, self._bus, self._view_order)
         self._viewports[client.client_id] = viewport
         self._view_panels[client.client_id] = panel

@@ -29,7 +29,7 @@ from playwright.sync_api import Browser, sync_playwright
 from app.autosave import DOCUMENT_TYPES
 from photoreg.project import Project
 from tests.bench.metrics import Metric
-from tests.bench.wire import PROTOCOL, unpacked
+from tests.bench.wire import PROTOCOL, unpacked, view_from
 from tests.browser.driver import Driver, launch, wait_until
 from tests.server_program import server
 
@@ -86,18 +86,8 @@ class Watcher:
 
     async def _move(self, now: float) -> None:
         angle = 0.2 * now + self._number
-        await self._send(
-            type="ViewerCameraMessage",
-            wxyz=(1.0, 0.0, 0.0, 0.0),
-            position=(3.0 * math.cos(angle), 3.0 * math.sin(angle), 1.0),
-            fov=0.8,
-            near=0.01,
-            far=1000.0,
-            image_height=700,
-            image_width=1100,
-            look_at=(0.0, 0.0, 0.0),
-            up_direction=(0.0, 0.0, 1.0),
-        )
+        position = (3.0 * math.cos(angle), 3.0 * math.sin(angle), 1.0)
+        await self._socket.send(view_from(position))
 
     async def _tell(self, act: str, **values: object) -> None:
         message = msgspec.json.encode({"act": act, **values, "at": time.time()})

@@ -112,8 +112,6 @@ def _listening(
             seen[updates["value"]] = time.perf_counter()
 
     rates, trips_ms, load = [], [], _Load(conductor)
-    # The page counts a client as one that looks when it tells of its view.
-    conductor.watch(True)
     with listening(address, hear):
         for _ in range(N_STARTS):
             session.change(None, setting(preset="thorough"))

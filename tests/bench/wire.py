@@ -23,9 +23,30 @@ def unpacked(raw: bytes) -> list[dict[str, Any]]:
     return msgspec.msgpack.decode(inner)["messages"]
 
 
+def view_from(position: tuple[float, float, float]) -> bytes:
+    """What a browser tells of its view of the origin; by the first it is one."""
+    return msgspec.msgpack.encode(
+        {
+            "type": "ViewerCameraMessage",
+            "wxyz": (1.0, 0.0, 0.0, 0.0),
+            "position": position,
+            "fov": 0.8,
+            "near": 0.01,
+            "far": 1000.0,
+            "image_height": 700,
+            "image_width": 1100,
+            "look_at": (0.0, 0.0, 0.0),
+            "up_direction": (0.0, 0.0, 1.0),
+        }
+    )
+
+
 @contextlib.contextmanager
 def listening(address: str, hear: Callable[[dict[str, Any]], None]) -> Iterator[None]:
-    """Calls ``hear`` with every message of the page, on a thread, meanwhile."""
+    """Calls ``hear`` with every message of the page, on a thread, meanwhile.
+
+    It tells of a view, so that the page counts it as somebody who looks.
+    """
     origin: Any = address
     protocols: Any = [PROTOCOL]
     socket = connect(
@@ -44,6 +65,7 @@ def listening(address: str, hear: Callable[[dict[str, Any]], None]) -> Iterator[
 
     thread = threading.Thread(target=listen, daemon=True)
     thread.start()
+    socket.send(view_from((3.0, 0.0, 1.0)))
     try:
         yield
     finally:
