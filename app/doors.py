@@ -27,6 +27,7 @@ from websockets.http11 import Request, Response
 
 from app.opening import static_folder
 from app.pictures import ROOT, Pictures
+from app.wakening import mend_wakening
 from photoreg.errors import InputError
 
 log = logging.getLogger(__name__)
@@ -254,6 +255,7 @@ def _response(
 
 def start_viser(doors: Doors, port: int, pictures: Pictures) -> viser.ViserServer:
     """A viser server behind these doors, which also has our pictures."""
+    mend_wakening()
     serve = websocket_server.serve
 
     def serve_guarded(*args: Any, process_request: Any = None, **kwargs: Any) -> Any:
