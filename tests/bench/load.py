@@ -27,6 +27,7 @@ import websockets
 from playwright.sync_api import Browser, sync_playwright
 
 from app.autosave import DOCUMENT_TYPES
+from app.shelf import LOG_FILE
 from photoreg.project import Project
 from tests.bench.metrics import Metric
 from tests.bench.wire import PROTOCOL, unpacked, view_from
@@ -201,7 +202,8 @@ def _measure(
     crowding.result()
     pool.shutdown()
     answers = [ms for watcher in watchers for ms in watcher.answers_ms]
-    n_errors = len(errors) + sum(w.n_errors for w in watchers)
+    log = (folder / LOG_FILE).read_text(encoding="utf-8")
+    n_errors = len(errors) + sum(w.n_errors for w in watchers) + log.count(" ERROR ")
     about = (
         f"{chosen.browsers} browsers ({chosen.pages} of them Chromium), "
         f"{chosen.minutes:g} min, {len(seconds)} runs"
