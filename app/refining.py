@@ -138,33 +138,36 @@ class Refining:
         resume = None if job.kept is None else Checkpoint.from_bytes(job.kept.content)
         self._costs = _curve_from(job, resume)
         sent_at = judged_at = -np.inf
-        for event in self._steps(resume):
-            self._best = tuple(event.cameras)
-            if isinstance(event, Finished):
-                finished = event
-                break
-            last = event
-            if event.phase == "prepare":
-                # The start is on screen already; drawing would hold up what follows.
-                self._send(self._live(event, []))
-                continue
-            self._paint()
-            now = time.monotonic()
-            curve.extend(self._costs.points(event))
-            self._keep(event, now)
-            if now - sent_at >= LIVE_PERIOD_S:
-                self._send(self._live(event, curve))
-                sent_at = now
-                curve.clear()
-            if now - judged_at >= JUDGE_PERIOD_S:
-                self._measure(self._best)
-                judged_at = now
-            if self._must_stop(messages):
-                break
-        if last is not None:
-            self._send(self._live(last, curve))
-            if finished is None:
-                self._keep(last, np.inf)
+        try:
+            for event in self._steps(resume):
+                self._best = tuple(event.cameras)
+                if isinstance(event, Finished):
+                    finished = event
+                    break
+                last = event
+                if event.phase == "prepare":
+                    # The start is on screen already; drawing would hold up what follows.
+                    self._send(self._live(event, []))
+                    continue
+                self._paint()
+                now = time.monotonic()
+                curve.extend(self._costs.points(event))
+                self._keep(event, now)
+                if now - sent_at >= LIVE_PERIOD_S:
+                    self._send(self._live(event, curve))
+                    sent_at = now
+                    curve.clear()
+                if now - judged_at >= JUDGE_PERIOD_S:
+                    self._measure(self._best)
+                    judged_at = now
+                if self._must_stop(messages):
+                    break
+        finally:
+            # Also where the engine breaks: what was reached until then is known.
+            if last is not None:
+                self._send(self._live(last, curve))
+                if finished is None:
+                    self._keep(last, np.inf)
         self._measure(self._best)
         self._painter.finish()
         self._send(

@@ -202,7 +202,8 @@ def _measure(
     crowding.result()
     pool.shutdown()
     answers = [ms for watcher in watchers for ms in watcher.answers_ms]
-    log = (folder / LOG_FILE).read_text(encoding="utf-8")
+    path = folder / LOG_FILE
+    log = path.read_text(encoding="utf-8") if path.exists() else ""
     n_errors = len(errors) + sum(w.n_errors for w in watchers) + log.count(" ERROR ")
     about = (
         f"{chosen.browsers} browsers ({chosen.pages} of them Chromium), "
