@@ -77,8 +77,21 @@ def project(points, P, center, width, height, min_cosine, allowed, u, v, seen):
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
+def pixel_cell(offset, width, height, x, y):
+    """Row of the pixel above and left of (x, y) in ``pixels``, and (x, y) from there."""
+    column = min(np.int32(x), np.int32(width - 2))
+    row = min(np.int32(y), np.int32(height - 2))
+    at = np.uint64(offset + np.int64(row) * width + column)
+    return at, x - np.float32(column), y - np.float32(row)
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
 def sample(pixels, offset, width, height, u, v, seen, index, n, colours):
     """Bilinear colours of the listed samples.
+
+    All is read before anything is written: the compiler cannot know that ``colours``
+    is not ``pixels``, and would read again after each store. With that, and with the
+    validity left to ``sample_validity``, 2.5 ns in place of 3.4.
 
     Args:
         pixels: (total, 4) float32: three colour channels and validity, row by row.
@@ -90,31 +103,43 @@ def sample(pixels, offset, width, height, u, v, seen, index, n, colours):
         seen: (n_all,) uint8; what is not seen is left as it is.
         index: (n_all,) int32; the first ``n`` are the samples wanted.
         n: How many.
-        colours: (n_all, 4) float32, written for the first ``n`` in order.
+        colours: (n_all, 4) float32; three channels of the first ``n`` are written.
     """
+    one, down = np.uint64(1), np.uint64(width)
     for k in range(n):
-        j = index[k]
+        # Unsigned, a number needs no test for counting from the end.
+        j = np.uint64(index[k])
         if seen[j] == 0:
             continue
-        x, y = u[j], v[j]
-        column = min(np.int64(x), width - 2)
-        row = min(np.int64(y), height - 2)
-        fx = x - np.float32(column)
-        fy = y - np.float32(row)
-        at = np.uint64(offset + row * width + column)
-        below = at + np.uint64(width)
-        one = np.uint64(1)
+        at, fx, fy = pixel_cell(offset, width, height, u[j], v[j])
+        p00, p01 = pixels[at], pixels[at + one]
+        p10, p11 = pixels[at + down], pixels[at + down + one]
         w11 = fx * fy
         w01 = fx - w11
         w10 = fy - w11
         w00 = np.float32(1.0) - fx - w10
-        for c in range(4):
-            colours[k, c] = (
-                w00 * pixels[at, c]
-                + w01 * pixels[at + one, c]
-                + w10 * pixels[below, c]
-                + w11 * pixels[below + one, c]
-            )
+        first = w00 * p00[0] + w01 * p01[0] + w10 * p10[0] + w11 * p11[0]
+        second = w00 * p00[1] + w01 * p01[1] + w10 * p10[1] + w11 * p11[1]
+        third = w00 * p00[2] + w01 * p01[2] + w10 * p10[2] + w11 * p11[2]
+        colours[k, 0], colours[k, 1], colours[k, 2] = first, second, third
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
+def sample_validity(pixels, offset, width, height, u, v, seen, index, n, colours):
+    """Bilinear validity of the listed samples, into the fourth channel of ``colours``.
+
+    The arguments are those of ``sample``.
+    """
+    one, down = np.uint64(1), np.uint64(width)
+    for k in range(n):
+        j = np.uint64(index[k])
+        if seen[j] == 0:
+            continue
+        at, fx, fy = pixel_cell(offset, width, height, u[j], v[j])
+        above = pixels[at, 3] + fx * (pixels[at + one, 3] - pixels[at, 3])
+        at += down
+        below = pixels[at, 3] + fx * (pixels[at + one, 3] - pixels[at, 3])
+        colours[k, 3] = above + fy * (below - above)
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
@@ -315,6 +340,19 @@ def population_costs(
                     colours[i],
                 )
             if has_mask:
+                for i in range(n_photos):
+                    sample_validity(
+                        pixels,
+                        layouts[i, 0],
+                        layouts[i, 1],
+                        layouts[i, 2],
+                        u[i],
+                        v[i],
+                        seen[i],
+                        index,
+                        n_seen,
+                        colours[i],
+                    )
                 n_seen = drop_masked(seen, index, n_seen, colours)
             kept[individual] = n_seen
             if n_seen < min_samples:
