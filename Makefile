@@ -30,7 +30,7 @@ test-interop: .venv/.stamp-interop ## Let COLMAP, MeshLab, Open3D, Blender and t
 crash: .venv/.stamp-dev ## Kill server and worker 200 times at random moments and look for what is lost (15 minutes); ARGS="--kills 20"
 	$(BIN)/python -m tests.crash $(ARGS)
 
-load: .venv/.stamp-dev ## Ten browsers at once watch runs for ten minutes; ARGS="--minutes 1 --browsers 4 --pages 1"
+load: .venv/.stamp-dev ## Ten browsers at once watch runs for ten minutes, drawing nothing, then two in Chromium; ARGS="--minutes 1 --pages 0"
 	@$(BIN)/python tests/browser/ensure_chromium.py
 	$(BIN)/python -m tests.bench.load $(ARGS)
 

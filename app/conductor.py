@@ -341,7 +341,7 @@ class Conductor:
             or document.masks != sent.masks
         ):
             photos = tuple(entry.photo for entry in document.used)
-            addresses = tuple(map(self.pictures.small_address, photos))
+            addresses = tuple(self.pictures.address(p, "small") for p in photos)
             self.worker.send(SetScene(document.mesh, photos, document.masks, addresses))
             self._scene_sent = document
 

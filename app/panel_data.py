@@ -1,10 +1,8 @@
 """Tab 1, Data: the mesh, the photos, the cameras' file."""
 
-import base64
 import html
 import math
 
-import cv2
 import viser
 
 from app import photo_list
@@ -20,14 +18,11 @@ from app.widgets import help_line
 from photoreg.formats.camera_search import CAMERA_SUFFIXES
 from photoreg.limits import Limits
 
-THUMBNAIL_PX = 160
-
 
 class DataPanel:
     """Controls of the Data tab."""
 
     def __init__(self, gui: viser.GuiApi, conductor: Conductor, bus: Bus) -> None:
-        self._thumbnails: dict[int, tuple[object, str]] = {}
         self._card_key: object = None
         self._session = session = conductor.session
         self._conductor = conductor
@@ -132,10 +127,8 @@ class DataPanel:
         put(self._photo_cards, "content", f'<div style="{_COLUMN}">{cards}</div>')
 
     def _card(self, index: int, entry: PhotoEntry, state: State, busy: bool) -> str:
-        known = self._thumbnails.get(index)
-        if known is None or known[0] is not entry.photo:
-            known = (entry.photo, _thumbnail(entry))
-            self._thumbnails[index] = known
+        # By its address: the cards are sent anew with every step of a run.
+        picture = self._conductor.pictures.address(entry.photo, "thumbnail")
         name = html.escape(entry.name, quote=True)
         edge = "#2dbeaf" if index == state.selected else "transparent"
         faded = "" if entry.enabled else "opacity:.5;"
@@ -170,7 +163,7 @@ class DataPanel:
             f'aria-pressed="{str(index == state.selected).lower()}" '
             f'style="{_CARD}cursor:pointer;border-left:3px solid {edge}" '
             f'onclick="{sending("select", photo=entry.name)}">'
-            f'<img src="{known[1]}" alt="" style="width:64px;height:56px;'
+            f'<img src="{picture}" alt="" style="width:64px;height:56px;'
             f'object-fit:cover;border-radius:4px;{faded}">'
             f'<div style="min-width:0;flex:1"><div style="{_NAME};{faded}" '
             f'class="pr-name" title="{name}">{index + 1}. {html.escape(entry.name)}'
@@ -281,12 +274,6 @@ def _mesh_card(state: State) -> str:
         f'<div style="{_NAME}">{name}</div>'
         f'<div style="{_FACTS}">{facts}</div></div></div></div>'
     )
-
-
-def _thumbnail(entry: PhotoEntry) -> str:
-    small = entry.photo.resized(THUMBNAIL_PX).pixels
-    _, data = cv2.imencode(".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR))
-    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
 
 
 def _same(a: object, b: object) -> bool:

@@ -22,7 +22,9 @@ ROOT = "/photoreg/"
 OVERVIEW_PX = 1600
 SMALL_PX = 768
 """Longer side of a photo as the object wears it while a run goes on."""
-SIDES_PX = {"overview": OVERVIEW_PX, "small": SMALL_PX}
+THUMBNAIL_PX = 160
+"""Longer side of a photo in the list of them."""
+SIDES_PX = {"overview": OVERVIEW_PX, "small": SMALL_PX, "thumbnail": THUMBNAIL_PX}
 MAX_PHOTOS = 200
 TILE_PX = 512
 QUALITY = 88
@@ -32,7 +34,7 @@ Answer = tuple[str, bytes]
 """Content type and body."""
 
 _SCRIPT = re.compile(r"/photoreg/([a-z]+)\.js")
-_WHOLE = re.compile(r"/photoreg/photo/([0-9]+)/(overview|small)\.jpg")
+_WHOLE = re.compile(r"/photoreg/photo/([0-9]+)/([a-z]+)\.jpg")
 _TILE = re.compile(r"/photoreg/photo/([0-9]+)/([0-9]{1,4})/([0-9]{1,4})\.jpg")
 _MASK = re.compile(r"/photoreg/mask/([0-9]+)\.png")
 
@@ -64,9 +66,9 @@ class Pictures:
                     self._wholes.pop((gone, size), None)
             return key
 
-    def small_address(self, photo: Photo) -> str:
-        """Where the page finds a photo reduced to ``SMALL_PX``."""
-        return f"{ROOT}photo/{self.photo_key(photo)}/small.jpg"
+    def address(self, photo: Photo, size: str) -> str:
+        """Where the page finds a photo reduced to one of ``SIDES_PX``."""
+        return f"{ROOT}photo/{self.photo_key(photo)}/{size}.jpg"
 
     def mask_key(self, png: bytes | None) -> str | None:
         """The key of a mask; None for none."""
@@ -102,7 +104,7 @@ class Pictures:
 
     def _whole(self, key: str, size: str) -> Answer | None:
         photo = self._photos.get(key)
-        if photo is None:
+        if photo is None or size not in SIDES_PX:
             return None
         data = self._wholes.get((key, size))
         if data is None:

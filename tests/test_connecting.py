@@ -1,6 +1,7 @@
 """Browsers that come to the page together, without a browser."""
 
 import contextlib
+import dataclasses
 import threading
 import time
 from typing import Any
@@ -9,9 +10,10 @@ import pytest
 
 from app import server
 from app.conductor import Conductor
+from app.opening import demo_folder, open_folder
 from app.panel_view import ViewPanel
 from app.server import Page
-from app.session import Session
+from app.session import Session, select, with_entry
 from tests.bench.wire import listening
 from tests.browser.driver import wait_until
 
@@ -66,3 +68,33 @@ def test_each_of_many_browsers_at_once_gets_its_own_choice_of_views(page, caplog
             browser.join()
     assert not [record.message for record in caplog.records]
     assert [len(mine) for mine in choices] == [1] * N_BROWSERS
+
+
+def test_a_camera_that_changes_sends_the_list_of_photos_once_and_without_them(page):
+    page.session.begin(open_folder(demo_folder()))
+    heard: list[str] = []
+
+    def hear(message: dict[str, Any]) -> None:
+        content = message.get("updates", message.get("props", {})).get("content")
+        if isinstance(content, str) and "data-photo" in content:
+            heard.append(content)
+
+    with listening(f"http://127.0.0.1:{page.port}", hear):
+        wait_until(lambda: heard, "the list is here")
+        camera = page.session.state.document.photos[0].camera
+        K = camera.K.copy()
+        K[[0, 1], [0, 1]] += 111.0
+        page.session.change(
+            "Zoom", with_entry(0, camera=dataclasses.replace(camera, K=K))
+        )
+        focal = f"f {K[0, 0]:.0f} px"
+        wait_until(lambda: focal in heard[-1], "it is up to date")
+        # What is sent later than another change would have come with it.
+        page.session.change(None, select(1))
+        second = page.session.state.document.photos[1].name
+        chosen = f'data-photo="{second}" aria-pressed="true"'
+        wait_until(lambda: chosen in heard[-1], "the other photo is chosen")
+    assert len([text for text in heard if focal in text]) == 2
+    assert max(map(len, heard)) < 10_000
+    assert "/thumbnail.jpg" in heard[-1]
+    assert "data:image/jpeg" not in heard[-1]

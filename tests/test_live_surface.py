@@ -54,7 +54,7 @@ def test_each_face_wears_the_photo_at_the_place_where_its_camera_puts_it():
 def test_the_photos_are_fetched_reduced_and_keys_are_no_other_server_s():
     photo = Photo("wide.png", np.zeros((500, 1000, 3), np.uint8))
     ours, theirs = Pictures(), Pictures()
-    address = ours.small_address(photo)
+    address = ours.address(photo, "small")
     found = ours.find(address)
     assert found is not None
     kind, data = found
@@ -62,4 +62,4 @@ def test_the_photos_are_fetched_reduced_and_keys_are_no_other_server_s():
     picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     assert picture is not None
     assert picture.shape == (SMALL_PX // 2, SMALL_PX, 3)
-    assert theirs.small_address(photo) != address
+    assert theirs.address(photo, "small") != address

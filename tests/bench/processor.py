@@ -31,3 +31,11 @@ def processor_s(root: int, without: tuple[int, ...] = ()) -> float:
             total += used[pid]
             waiting += children.get(pid, [])
     return total
+
+
+def busy_s() -> float:
+    """Seconds of processor that this machine has used, or lost to others of its host."""
+    user, nice, system, _, _, irq, softirq, steal, *_ = map(
+        int, Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:]
+    )
+    return (user + nice + system + irq + softirq + steal) / TICKS_PER_S
