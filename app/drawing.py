@@ -266,12 +266,18 @@ class Painter:
             except (EOFError, OSError):
                 return  # The app is gone.
             except Exception:  # noqa: BLE001 - the border of a thread: report.
-                self._send(
-                    Failed(DrawOverlay.__name__, "No picture.", traceback.format_exc())
-                )
-            with self._changed:
-                self._is_busy = False
-                self._changed.notify_all()
+                # Without memory there may be none to tell so; the next one is tried.
+                with contextlib.suppress(MemoryError):
+                    self._send(
+                        Failed(
+                            DrawOverlay.__name__, "No picture.", traceback.format_exc()
+                        )
+                    )
+            finally:
+                # Whatever becomes of a picture, nobody waits for it in vain.
+                with self._changed:
+                    self._is_busy = False
+                    self._changed.notify_all()
             if period_s > 0.0:
                 # Never more than two fifths of a core, however large the scene is. Time
                 # that others had the core does not count: it slows the search already.

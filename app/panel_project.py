@@ -12,7 +12,7 @@ from app.projects import NOT_KEPT
 from app.state import State
 from app.widgets import help_line
 from app.words import shortened
-from photoreg.errors import InputError
+from photoreg.errors import InputError, PhotoregError
 from photoreg.project_files import FileProblem
 
 MAX_SHOWN = 6
@@ -102,8 +102,8 @@ class ProjectPanel:
     # What is asked for.
 
     def _ask_new(self, client: viser.ClientHandle) -> None:
-        modal = client.gui.add_modal("New project")
-        with modal:
+        question = _Question(client, "New project")
+        with question.modal:
             name = client.gui.add_text("Name", "")
             client.gui.add_html(
                 help_line(
@@ -116,7 +116,7 @@ class ProjectPanel:
                 text = name.value.strip()
                 self._projects.new(folder=shelf.folder_named(text) if text else None)
 
-            _buttons(client, modal.close, "Make it", make)
+            question.end("Make it", make)
 
     def _ask_open(self, client: viser.ClientHandle) -> None:
         current = self._projects.current
@@ -125,8 +125,8 @@ class ProjectPanel:
             for folder in shelf.recent()
             if current is None or folder != current.folder
         ]
-        modal = client.gui.add_modal("Open a project")
-        with modal:
+        question = _Question(client, "Open a project")
+        with question.modal:
             for folder in folders[:MAX_SHOWN]:
                 button = client.gui.add_button(
                     shortened(folder.name, BUTTON_CHARACTERS),
@@ -134,10 +134,8 @@ class ProjectPanel:
                     color="gray",
                 )
                 client.gui.add_html(help_line(html.escape(str(folder))))
-                _closing(
-                    button,
-                    modal.close,
-                    lambda folder=folder: self._projects.open(folder),
+                question.answer(
+                    button, lambda folder=folder: self._projects.open(folder)
                 )
             name = client.gui.add_text("Or another", "")
             client.gui.add_html(
@@ -146,16 +144,13 @@ class ProjectPanel:
                     "kept already."
                 )
             )
-            _buttons(
-                client,
-                modal.close,
-                "Open it",
-                lambda: self._projects.open(shelf.folder_named(name.value)),
+            question.end(
+                "Open it", lambda: self._projects.open(shelf.folder_named(name.value))
             )
 
     def _ask_save(self, client: viser.ClientHandle) -> None:
-        modal = client.gui.add_modal("Save as")
-        with modal:
+        question = _Question(client, "Save as")
+        with question.modal:
             name = client.gui.add_text("Name", "")
             client.gui.add_html(
                 help_line(
@@ -167,9 +162,7 @@ class ProjectPanel:
             client.gui.add_html(
                 help_line("To take it along: it then needs nothing outside its folder.")
             )
-            _buttons(
-                client,
-                modal.close,
+            question.end(
                 "Save",
                 lambda: self._projects.save_as(
                     shelf.folder_named(name.value), gather.value
@@ -248,27 +241,44 @@ def _question(name: str, problems: list[FileProblem]) -> str:
     )
 
 
-def _buttons(
-    client: viser.ClientHandle,
-    close: Callable[[], None],
-    yes: str,
-    then: Callable[[], None],
-) -> None:
-    do_it = client.gui.add_button(yes)
-    leave = client.gui.add_button("Cancel", color="gray")
-    _closing(do_it, close, then)
-    _closing(leave, close, lambda: None)
+class _Question:
+    """A question to one browser. It stays until an answer could be followed."""
+
+    def __init__(self, client: viser.ClientHandle, title: str) -> None:
+        self._gui = client.gui
+        self.modal = client.gui.add_modal(title)
+        self._objection: viser.GuiHtmlHandle | None = None
+
+    def end(self, yes: str, then: Callable[[], None]) -> None:
+        """The last two buttons, and above them room for what speaks against an answer."""
+        self._objection = self._gui.add_html("", visible=False)
+        self.answer(self._gui.add_button(yes), then)
+        self.answer(self._gui.add_button("Cancel", color="gray"), lambda: None)
+
+    def answer(self, button: viser.GuiButtonHandle, then: Callable[[], None]) -> None:
+        """Has a button do something, which may take long, and then close the question."""
+
+        @button.on_click
+        @guarded_slow
+        def _(_: viser.GuiEvent) -> None:
+            button.disabled = True
+            try:
+                then()
+            except PhotoregError as error:
+                assert self._objection is not None
+                self._objection.content = _objection_html(str(error))
+                self._objection.visible = True
+            else:
+                self.modal.close()
+            finally:
+                if not self.modal.closed:
+                    button.disabled = False
 
 
-def _closing(
-    button: viser.GuiButtonHandle,
-    close: Callable[[], None],
-    then: Callable[[], None],
-) -> None:
-    """Has a button of a question close it, and then do something that may take long."""
-
-    @button.on_click
-    @guarded_slow
-    def _(_: viser.GuiEvent) -> None:
-        close()
-        then()
+def _objection_html(sentence: str) -> str:
+    return (
+        '<div role="alert" style="margin:2px 12px 10px;padding:8px 10px;border-radius:'
+        "6px;background:rgba(229,72,77,.16);border-left:3px solid #e5484d;"
+        f'font-size:13px;line-height:1.4;overflow-wrap:anywhere">{html.escape(sentence)}'
+        "</div>"
+    )

@@ -5,6 +5,7 @@ import io
 import os
 import queue
 import signal
+import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -129,6 +130,32 @@ def test_of_a_run_that_nobody_watches_nothing_is_drawn(shared, scene):
     listener.wait_for(Refined)
 
 
+def test_a_painter_without_memory_to_say_so_keeps_nobody_waiting(scene):
+    sent: list[Event] = []
+    tried, has_memory, finished = (threading.Event() for _ in range(3))
+
+    def send(event: Event) -> None:
+        tried.set()
+        if not has_memory.is_set():
+            raise MemoryError
+        sent.append(event)
+
+    painter, drawing = Painter(send), Drawing(scene.mesh, scene.photos)
+
+    def finish() -> None:
+        painter.finish()
+        finished.set()
+
+    painter.offer(drawing, scene.cameras, VIEW, None)
+    assert tried.wait(60.0)
+    threading.Thread(target=finish, daemon=True).start()
+    assert finished.wait(20.0)
+    has_memory.set()
+    painter.offer(drawing, scene.cameras, VIEW, None)
+    wait_until(lambda: sent, "the next picture is drawn")
+    assert isinstance(sent[0], Picture)
+
+
 def test_stop_ends_the_run_with_the_best_so_far(shared, scene):
     worker, listener = shared
     start = scene.rough_cameras
@@ -211,7 +238,6 @@ def improved(state: State) -> bool:
     return bool(state.run.curve) and state.run.curve[-1].best < 0.9
 
 
-@pytest.mark.slow
 def test_killing_the_worker_keeps_the_best_and_the_next_run_works(conductor):
     problems: list[str] = []
     conductor.on_problem = problems.append

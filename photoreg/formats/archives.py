@@ -1,5 +1,6 @@
 """Several files as one zip: packed for a download, and unpacked within bounds."""
 
+import errno
 import lzma
 import shutil
 import zipfile
@@ -43,8 +44,9 @@ def unzipped(path: Path, folder: Path, wanted: Callable[[str], bool]) -> list[Pa
         wanted: Told the file name of a member, without its folders, whether to take it.
 
     Raises:
-        InputError: if it is not a zip, is damaged or encrypted, or holds a file or
-            all together more than the limits say, or more than 20,000 files.
+        InputError: if it is not a zip, is damaged or encrypted, holds a file or all
+            together more than the limits say, or more than 20,000 files, or names
+            that no disk takes.
         OutputError: if the files cannot be written.
     """
     unpacked = []
@@ -75,12 +77,7 @@ def unzipped(path: Path, folder: Path, wanted: Callable[[str], bool]) -> list[Pa
                     "instead."
                 )
             for member in {member.filename: member for member in members}.values():
-                target = folder.joinpath(*_parts(member))
-                target.parent.mkdir(parents=True, exist_ok=True)
-                # Never more bytes than announced: zipfile stops there.
-                with archive.open(member) as source, target.open("wb") as file:
-                    shutil.copyfileobj(source, file, 1 << 20)
-                unpacked.append(target)
+                unpacked.append(_unpacked(archive, member, path, folder))
     except DAMAGE as error:
         raise InputError(
             f"{path.name} could not be unpacked: it is damaged, or not a zip."
@@ -95,6 +92,32 @@ def unzipped(path: Path, folder: Path, wanted: Callable[[str], bool]) -> list[Pa
             f"{path.name} could not be unpacked: {error.strerror or error}."
         ) from error
     return unpacked
+
+
+def _unpacked(
+    archive: zipfile.ZipFile, member: zipfile.ZipInfo, path: Path, folder: Path
+) -> Path:
+    """Writes one file of the zip at ``path``; returns where it is."""
+    parts = _parts(member)
+    target = folder.joinpath(*parts)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        # Never more bytes than announced: zipfile stops there.
+        with archive.open(member) as source, target.open("wb") as file:
+            shutil.copyfileobj(source, file, 1 << 20)
+    except (FileExistsError, NotADirectoryError, IsADirectoryError) as error:
+        raise InputError(
+            f"{path.name} could not be unpacked: in it one name is a file's and a "
+            f"folder's at once ({'/'.join(parts)}). Give its files instead."
+        ) from error
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        raise InputError(
+            f"{path.name} could not be unpacked: in it is a name longer than the disk "
+            f"allows ({max(parts, key=len)[:40]}…). Rename it, or give its files instead."
+        ) from error
+    return target
 
 
 def _parts(member: zipfile.ZipInfo) -> list[str]:

@@ -15,6 +15,7 @@ from app.state import Document, same_camera
 from photoreg.formats.archives import unzipped
 from photoreg.formats.camera_download import cameras_download
 from photoreg.formats.cameras_json import CameraFile, dump_cameras
+from photoreg.project import DATABASE
 from tests.browser.driver import wait_until
 from tests.browser.own_files import drop
 
@@ -284,3 +285,43 @@ def test_projects_are_made_and_opened_and_a_moved_file_is_asked_for(
     assert mesh.source.path == tmp_path / "away.obj"
     assert names(app) == ["a.png"]
     projects.close()
+
+
+def test_a_project_that_cannot_be_had_leaves_the_question_open(
+    open_app, toy_document, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("PHOTOREG_DATA", str(tmp_path / "data"))
+    app = open_app(toy_document)
+    app.driver.dismiss_toasts()
+    page = app.driver.page
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "letter.txt").write_text("mine")
+    app.driver.tab("1 Data")
+    page.get_by_text("Project: not kept").click()
+    dialog = page.get_by_role("dialog")
+
+    app.driver.click("Open a project")
+    dialog.get_by_role("textbox").fill("Nowhere")
+    app.driver.click("Open it")
+    objection = dialog.get_by_role("alert")
+    objection.get_by_text("Nowhere").wait_for()
+    assert dialog.get_by_role("textbox").input_value() == "Nowhere"
+    # The answer is mended, and asked again.
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / DATABASE).write_text("no database")
+    dialog.get_by_role("textbox").fill(str(tmp_path / "broken"))
+    app.driver.click("Open it")
+    objection.get_by_text("broken").wait_for()
+    app.driver.click("Cancel")
+    dialog.wait_for(state="detached")
+
+    app.driver.click("Save as")
+    dialog.get_by_role("textbox").fill(str(tmp_path / "full"))
+    app.driver.click("Save")
+    objection.get_by_text("full").wait_for()
+    dialog.get_by_role("textbox").fill(str(tmp_path / "copy"))
+    app.driver.click("Save")
+    page.get_by_text("Project: copy").wait_for()
+    assert not dialog.count()
+    assert (tmp_path / "full" / "letter.txt").read_text() == "mine"
+    app.conductor.projects.close()

@@ -1,11 +1,15 @@
 """A run in the page: started, paused, stopped, reverted, held, seen twice, survived."""
 
+import contextlib
 import dataclasses
 import logging
 import multiprocessing
 import os
 import re
+import resource
 import signal
+import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -304,6 +308,44 @@ def test_a_run_that_breaks_midway_is_told_kept_and_logged_and_goes_on(app, tmp_p
     wait_until(lambda: app.state.run.start_cost is not None, "it ends", 240)
     assert not app.state.can_go_on
     drop(app)
+    start(app, "fast", hold=False)
+    to_its_end(app)
+    assert app.state.run.start_cost is not None
+    drop(app)
+
+
+class StarvesInPolish(RegistrationConfig):
+    """Settings at which the engine gets no more memory when the search has ended."""
+
+    __repr__ = BreaksInPolish.__repr__
+
+    def __getattribute__(self, name: str) -> Any:
+        if name == "polish" and multiprocessing.parent_process() is not None:
+            pages = int(Path("/proc/self/statm").read_text().split()[0])
+            used = pages * resource.getpagesize()
+            _, most = resource.getrlimit(resource.RLIMIT_AS)
+            resource.setrlimit(resource.RLIMIT_AS, (used + 1_000_000, most))
+        return super().__getattribute__(name)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits memory as Linux does")
+def test_a_run_without_memory_for_its_polish_ends_and_the_next_one_works(app):
+    worker = app.conductor.worker
+    sound = RegistrationConfig.preset("fast")
+    app.session.change(
+        None, setting(preset="fast", config=StarvesInPolish(**vars(sound)))
+    )
+    app.driver.click("Refine")
+    to_its_end(app)
+    # The engine goes on where it can tell what failed, and is started anew where not.
+    app.driver.page.get_by_text("The refinement was cut short: ").first.wait_for()
+    assert "this is the best until then" in app.state.run.outcome
+    assert has_moved(app.state.run)
+    with contextlib.suppress(ProcessLookupError):
+        limits = resource.prlimit(worker.pid, resource.RLIMIT_AS)
+        resource.prlimit(worker.pid, resource.RLIMIT_AS, (limits[1], limits[1]))
+    drop(app)
+    app.session.change(None, setting(config=None))
     start(app, "fast", hold=False)
     to_its_end(app)
     assert app.state.run.start_cost is not None
