@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from app import server
+from app import controls, server
 from app.conductor import Conductor
 from app.opening import demo_folder, open_folder
 from app.panel_view import ViewPanel
@@ -98,3 +98,44 @@ def test_a_camera_that_changes_sends_the_list_of_photos_once_and_without_them(pa
     assert max(map(len, heard)) < 10_000
     assert "/thumbnail.jpg" in heard[-1]
     assert "data:image/jpeg" not in heard[-1]
+
+
+def test_every_callback_of_the_page_is_guarded(page):
+    page.session.begin(open_folder(demo_folder()))
+    address = f"http://127.0.0.1:{page.port}"
+    with listening(address, lambda _: None):
+        wait_until(page.server.get_clients, "a browser is here")
+        (client,) = page.server.get_clients().values()
+        wait_until(lambda: page.viewport(client.client_id), "it has its view")
+        scene = page.server.scene
+        wait_until(lambda: scene._handle_from_transform_controls_name, "and a gizmo")
+        callbacks = [
+            *(
+                callback
+                for gui in (page.server.gui, client.gui)
+                for handle in gui._gui_input_handle_from_uuid.values()
+                for callback in handle._impl.update_cb
+            ),
+            *(
+                callback
+                for command in page.server.gui._command_handle_from_uuid.values()
+                for callback in command._impl.trigger_cb
+            ),
+            *(
+                entry.callback
+                for node in scene._handle_from_node_name.values()
+                for entry in (*node._impl.click_cb, *node._impl.drag_cb)
+            ),
+            *(
+                callback
+                for gizmo in scene._handle_from_transform_controls_name.values()
+                for callback in gizmo._impl_aux.update_cb
+            ),
+            *(entry.callback for entry in scene._scene_pointer_cb),
+            *client.camera._state.camera_cb,
+            *page.server._client_connect_cb,
+            *page.server._client_disconnect_cb,
+        ]
+    assert len(callbacks) > 60
+    bare = [c for c in callbacks if c.__code__.co_filename != controls.__file__]
+    assert not [callback.__qualname__ for callback in bare]
