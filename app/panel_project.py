@@ -158,7 +158,7 @@ class ProjectPanel:
                     "copy; the project as it is now stays."
                 )
             )
-            gather = client.gui.add_checkbox("With copies of all files", False)
+            gather = client.gui.add_checkbox("Copy files too", False)
             client.gui.add_html(
                 help_line("To take it along: it then needs nothing outside its folder.")
             )
