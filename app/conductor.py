@@ -87,6 +87,7 @@ class Conductor:
         self.cloud: np.ndarray | None = None
         """Camera centres of the population of a search that runs, (n, c, 3)."""
         self.on_picture: Callable[[], None] = lambda: None
+        self.on_surface: Callable[[], None] = lambda: None
         self.on_problem: Callable[[str], None] = _ignore
         """Called with a sentence for everybody who looks at the page."""
         self._scene_sent: Document | None = None
@@ -224,7 +225,7 @@ class Conductor:
                 self._set(agreement=event.agreement)
             case SurfaceDrawn():
                 self.surface_glb = event.glb
-                self.on_picture()
+                self.on_surface()
             case Refined():
                 self.session.change(None, lambda state: outcomes.ended(state, event))
             case Compared():

@@ -37,7 +37,7 @@ from photoreg.photo import Photo
 from photoreg.surface_lines import SurfaceLines, shaded_normals
 
 PICTURE_SIDE_PX = 1024
-SURFACE_PERIOD_S = 0.45
+SURFACE_PERIOD_S = 0.5
 """Time between two states of the surface during a refinement."""
 
 PAINTER_NICENESS = 5

@@ -21,6 +21,7 @@ from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 
 FLOAT, UINT, USHORT = 5126, 5125, 5123
+LINEAR, CLAMP_TO_EDGE = 9729, 33071
 DTYPES = {FLOAT: "<f4", UINT: "<u4", USHORT: "<u2"}
 
 
@@ -177,7 +178,18 @@ class GlbFile:
         }
         if self._images:
             document["images"] = self._images
-            document["textures"] = [{"source": i} for i in range(len(self._images))]
+            document["textures"] = [
+                {"source": i, "sampler": 0} for i in range(len(self._images))
+            ]
+            # Smaller copies would be made anew for each state of the surface.
+            document["samplers"] = [
+                {
+                    "minFilter": LINEAR,
+                    "magFilter": LINEAR,
+                    "wrapS": CLAMP_TO_EDGE,
+                    "wrapT": CLAMP_TO_EDGE,
+                }
+            ]
         text = json.dumps(document).encode()
         text += b" " * (-len(text) % 4)
         length = 12 + 8 + len(text) + 8 + len(self._body)

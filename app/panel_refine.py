@@ -82,7 +82,7 @@ class RefinePanel:
             visible=False,
             hint="Ends the run; the cameras are as before it.",
         )
-        self._bar = gui.add_progress_bar(0.0, visible=False, animated=True)
+        self._bar = gui.add_progress_bar(0.0, visible=False)
         self._verdict = gui.add_html("", visible=False)
         self._accept = gui.add_button(
             "Accept",

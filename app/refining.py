@@ -32,11 +32,9 @@ from photoreg.presets import RegistrationConfig
 from photoreg.registration import Event as Step
 from photoreg.registration import Finished, Progress, refine
 
-PICTURE_PERIOD_S = 0.18
-"""Time between overlay pictures during a refinement: five and a half a second."""
-
-LIVE_PERIOD_S = PICTURE_PERIOD_S
-"""The same of cameras, cost and words: nobody reads faster, and each redraws the page."""
+PICTURE_PERIOD_S = 0.17
+"""Time between overlay pictures during a refinement: nearly six a second. Cameras, cost
+and words are told along with them: nobody reads faster, and each redraws the page."""
 
 CLOUD = 80
 """Individuals whose camera centres are shown."""
@@ -137,7 +135,7 @@ class Refining:
         finished, last, curve = None, None, []
         resume = None if job.kept is None else Checkpoint.from_bytes(job.kept.content)
         self._costs = _curve_from(job, resume)
-        sent_at = judged_at = -np.inf
+        told_at = judged_at = -np.inf
         try:
             for event in self._steps(resume):
                 self._best = tuple(event.cameras)
@@ -149,17 +147,17 @@ class Refining:
                     # The start is on screen already; drawing would hold up what follows.
                     self._send(self._live(event, []))
                     continue
-                self._paint()
                 now = time.monotonic()
                 curve.extend(self._costs.points(event))
                 self._keep(event, now)
-                if now - sent_at >= LIVE_PERIOD_S:
+                if now - told_at >= PICTURE_PERIOD_S:
+                    told_at = now
                     self._send(self._live(event, curve))
-                    sent_at = now
                     curve.clear()
-                if now - judged_at >= JUDGE_PERIOD_S:
-                    self._measure(self._best)
-                    judged_at = now
+                    if now - judged_at >= JUDGE_PERIOD_S:
+                        judged_at = now
+                        self._measure(self._best)
+                    self._paint()
                 if self._must_stop(messages):
                     break
         finally:

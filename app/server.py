@@ -5,6 +5,7 @@ so that nothing flickers however fast the changes come.
 """
 
 import contextlib
+import dataclasses
 import html
 import io
 import logging
@@ -46,11 +47,18 @@ from photoreg.limits import Limits
 log = logging.getLogger(__name__)
 
 PAINT_PERIOD_S = 1 / 30
+PASSING_PERIOD_S = 0.25
+"""What a run tells waits so long for the next picture, to be painted together with it: a
+browser without a graphics card needs 20 to 50 ms of a core each time a word changes."""
+
+PASSING = ("run", "kept_search", "agreement")
+"""The parts of the state that change all the time while a run goes on."""
+
 BLINK_PERIOD_S = 0.6
-SCENE_PERIOD_S = 0.4
-"""Time between two states of the 3-D view during a refinement. A frame of it costs a
-browser without a graphics card 0.1 to 0.2 s of a core, which the search could use; at
-twelve a second it took nine tenths of one."""
+SCENE_PERIOD_S = 0.5
+"""Time between two states of the 3-D view during a refinement. For each, viser draws for a
+quarter of a second and more, at 80 to 150 ms of a core a frame in a browser without a
+graphics card, which the search could use."""
 GIZMO_HOLD_S = 20.0
 """A gizmo that says nothing for so long is no longer in anybody's hand."""
 
@@ -80,15 +88,18 @@ class Page:
         self._blinked_at = 0.0
         self._scene_at, self._is_scene_late = -np.inf, False
         self._drag = 0
-        self._wake = threading.Event()
+        self._wake, self._urgent = threading.Event(), threading.Event()
+        self._painted_at = -np.inf
+        self._is_changed = True
         self._connecting = threading.Lock()
         self._closed = False
         self.server.scene.configure_default_lights(cast_shadow=shadows)
         self.scene = Scene(self.server)
         self.scene.gizmos.on_pull(self._on_gizmo)
         self._build()
-        session.listen(lambda *_: self._wake.set())
-        conductor.on_picture = self.projects.on_change = self._wake.set
+        session.listen(self._on_change)
+        conductor.on_picture = self.projects.on_change = self._paint_soon
+        conductor.on_surface = self._wake.set
         conductor.on_problem = self._tell_everybody
         conductor.watch(False)
         self.server.on_client_connect(guarded_client(self._on_connect))
@@ -96,7 +107,7 @@ class Page:
         self._paint()
         self._painter = threading.Thread(target=self._paint_on, daemon=True)
         self._painter.start()
-        self._wake.set()
+        self._paint_soon()
 
     @property
     def port(self) -> int:
@@ -110,7 +121,7 @@ class Page:
     def close(self) -> None:
         """Stops serving."""
         self._closed = True
-        self._wake.set()
+        self._paint_soon()
         self._painter.join(timeout=5.0)
         with contextlib.redirect_stdout(io.StringIO()):
             self.server.stop()
@@ -143,6 +154,7 @@ class Page:
         left.dock_left()
         left.set_width(350)
         self._panels = (project, data, align, refine, export, overlay, points)
+        self._run_panels = (refine, overlay)
 
         @guarded
         def clicked(event: viser.SceneClickEvent) -> None:
@@ -219,6 +231,8 @@ class Page:
             blinks = self.session.state.overlay_style == "blink"
             late = SCENE_PERIOD_S if self._is_scene_late else None
             self._wake.wait(BLINK_PERIOD_S if blinks else late)
+            self._urgent.wait(self._painted_at + PASSING_PERIOD_S - time.monotonic())
+            self._urgent.clear()
             self._wake.clear()
             if self._closed:
                 return
@@ -233,25 +247,44 @@ class Page:
                     report(client, "Painting the page", error)
                 if not clients:
                     log.error("Painting the page failed", exc_info=error)
+            self._painted_at = time.monotonic()
             threading.Event().wait(PAINT_PERIOD_S)
 
+    def _on_change(self, old: State, new: State) -> None:
+        if is_passing(old, new):
+            self._wake.set()
+        else:
+            self._is_changed = True
+            self._paint_soon()
+
+    def _paint_soon(self) -> None:
+        self._urgent.set()
+        self._wake.set()
+
     def _paint(self) -> None:
+        is_changed, self._is_changed = self._is_changed, False
         state = self.session.state
         # What is shown as done is on disk; a write that takes long is said to go on.
         is_kept = self.projects.wait()
         if not is_kept:
-            self._wake.set()
+            self._paint_soon()
+        now, is_running = time.monotonic(), state.run.is_active
+        self._is_scene_late = is_running and now - self._scene_at < SCENE_PERIOD_S
+        # The others show numbers of the cameras that nobody reads while they fly by.
+        is_brief = self._is_scene_late and not is_changed
         with self.server.atomic():
             if state.dark != self._dark:
                 self._dark = state.dark
                 self._theme(state.dark)
                 self.server.scene.set_background_image(backdrop(state.dark))
-            self._show_scene(state)
             put(self._status, "content", status_line(state, is_kept))
             put(self._meter, "content", meter_html(state))
             self._travel.show(travel_tools(state))
-            for panel in self._panels:
+            for panel in self._run_panels if is_brief else self._panels:
                 panel.show(state)
+            if not self._is_scene_late:
+                self._scene_at = now
+                self._show_scene(state)
         for number, viewport in list(self._viewports.items()):
             viewport.show(state)
             panel = self._view_panels.get(number)
@@ -259,17 +292,12 @@ class Page:
                 panel.show(state)
 
     def _show_scene(self, state: State) -> None:
-        """Shows the 3-D view, during a run all of it at once every so often."""
-        now = time.monotonic()
-        is_running = state.run.is_active
-        self._is_scene_late = is_running and now - self._scene_at < SCENE_PERIOD_S
-        if self._is_scene_late:
-            return
-        self._scene_at = now
-        drawn = self.conductor.drawn
+        """Shows the 3-D view, all of it at once."""
+        conductor = self.conductor
+        drawn = conductor.drawn
         self.scene.show(state, None if drawn is None else drawn.lines)
-        self.scene.show_cloud(self.conductor.cloud if is_running else None)
-        self.scene.show_surface(self.conductor.surface_glb)
+        self.scene.show_cloud(conductor.cloud if state.run.is_active else None)
+        self.scene.show_surface(conductor.surface_glb)
 
     def _theme(self, dark: bool) -> None:
         self.server.gui.configure_theme(
@@ -283,7 +311,7 @@ class Page:
 
     def _on_connect(self, client: viser.ClientHandle) -> None:
         viewport = Viewport(
-            client, self.conductor, self.scene, self._hands, self._wake.set
+            client, self.conductor, self.scene, self._hands, self._paint_soon
         )
         # A tab can be filled by one thread at a time; several may connect at once.
         with self._connecting, self._align_tab:
@@ -305,7 +333,7 @@ class Page:
         self.conductor.intake.left(client.client_id)
         self._help.forget(client)
         self.scene.gizmos.let_go(client.client_id)
-        self._wake.set()
+        self._paint_soon()
 
     def _on_refused(self, browser: int, name: str, sentence: str) -> None:
         self._bus.arrived(name)
@@ -338,11 +366,24 @@ class Page:
         finally:
             if phase == "end":
                 self._hands.drop(browser)
-                self._wake.set()
+                self._paint_soon()
 
     def _tell_everybody(self, sentence: str) -> None:
         for client in self.server.get_clients().values():
             notify(client, "That did not work", sentence)
+
+
+def is_passing(old: State, new: State) -> bool:
+    """Whether only a run that goes on has told something new."""
+    return (
+        new.run.is_active
+        and old.run.status == new.run.status
+        and all(
+            getattr(old, field.name) is getattr(new, field.name)
+            for field in dataclasses.fields(State)
+            if field.name not in PASSING
+        )
+    )
 
 
 def travel_tools(state: State) -> list[Tool]:

@@ -193,8 +193,8 @@ class _Run:
         if shared < MIN_OVERLAP * either:
             self.warnings.append(
                 "The photos hardly overlap on the surface: of what they see, "
-                f"{100 * shared / either:.0f} % is seen twice. The answer rests on "
-                "little."
+                f"{100 * shared / either:.0f} % is seen twice, so the answer rests on "
+                "little. Align better, or take photos from nearer viewpoints."
             )
 
     def _all(self, cameras: Sequence[Camera]) -> tuple[Camera, ...]:

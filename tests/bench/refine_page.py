@@ -1,6 +1,8 @@
-"""A refinement on the page: how soon it is seen, how often, and what watching costs."""
+"""A refinement on the page: how soon it is seen, how often, what watching costs, and how
+soon its death is told."""
 
 import os
+import signal
 import statistics
 import time
 from collections.abc import Iterator
@@ -27,6 +29,7 @@ N_STARTS = 6
 REST_MS = 2_500
 """Who has aligned the cameras looks at them before pressing Refine."""
 N_ROUNDS = 5
+N_KILLS = 5
 
 _WATCH = """() => {
   const image = document.querySelector('img[src^="blob:"]');
@@ -34,6 +37,9 @@ _WATCH = """() => {
   new MutationObserver(() => pictures.push(Date.now()))
     .observe(image, {attributes: true, attributeFilter: ['src']});
 }"""
+
+_TOLD = """() => [...document.querySelectorAll('.mantine-Notification-root')]
+  .some(message => message.textContent.includes('engine process died')) && Date.now()"""
 
 
 class _Load:
@@ -93,7 +99,9 @@ def refine_page(setting: Setting) -> Iterator[Metric]:
         with sync_playwright() as playwright:
             browser = launch(playwright)
             window = browser.new_page(viewport={"width": 1100, "height": 700})
-            yield from _watching(session, conductor, Driver(window, address))
+            driver = Driver(window, address)
+            yield from _watching(session, conductor, driver)
+            yield from _dying(session, conductor, driver)
             browser.close()
 
 
@@ -205,6 +213,32 @@ def _watching(
         )
     yield from _rates_and_trips("refine_page", rates, trips_ms, "software WebGL")
     yield from load.metrics("refine_page")
+
+
+def _dying(session: Session, conductor: Conductor, driver: Driver) -> Iterator[Metric]:
+    """How soon the page says that the worker was killed in the middle of a run."""
+    told_ms = []
+    for _ in range(N_KILLS):
+        driver.dismiss_toasts()
+        wait_until(lambda: session.state.worker == "", "the engine is warm", 300)
+        conductor.refinement.start()
+        wait_until(lambda: session.state.kept_search, "a state is kept")
+        pid = conductor.worker.pid
+        assert pid is not None
+        killed = time.time()
+        os.kill(pid, signal.SIGKILL)
+        told = driver.page.wait_for_function(_TOLD, polling=10).json_value()
+        told_ms.append(told - 1e3 * killed)
+        conductor.refinement.revert()
+    note = f"n={len(told_ms)}; after kill -9 in a run, software WebGL"
+    yield Metric(
+        "refine_page.death_told.median",
+        statistics.median(told_ms), "ms", "lower", None, 1.0, note,
+    )  # fmt: skip
+    yield Metric(
+        "refine_page.death_told.worst",
+        max(told_ms), "ms", "lower", 1_000.0, 1.0, note,
+    )  # fmt: skip
 
 
 def _rate(times: list[float]) -> float:

@@ -1,7 +1,9 @@
-"""A run in the page: started, paused, stopped, reverted, held, seen twice, survived."""
+"""A run in the page: started, paused, stopped, reverted, held, seen twice, survived; what
+it shows and tells meanwhile."""
 
 import contextlib
 import dataclasses
+import hashlib
 import logging
 import multiprocessing
 import os
@@ -14,14 +16,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from app.outcomes import has_moved
+from app.panel_overlay import LEVEL, RESTART
+from app.placement import orbited
 from app.run import PRESET_NAMES
-from app.session import looking_at, setting
+from app.session import looking_at, setting, with_entry
 from app.shelf import log_into
 from app.state import Document, PhotoEntry
 from app.words import in_words, number
 from photoreg.box_reach import box_reach
+from photoreg.camera import Camera
 from photoreg.presets import PresetName, RegistrationConfig
 from photoreg.synthetic import SceneOptions, make_scene
 from tests.browser.driver import Driver, wait_until
@@ -48,6 +54,17 @@ WEARS_PHOTOS = """n =>
       node?.traverse(part => { worn += part.material?.map?.image?.width > 0; });
     return worn === n;
   })"""
+
+# Whether the cost curve has dots of a colour, given as #rrggbb.
+PLOT_HAS = """colour => {
+  const wanted = [1, 3, 5].map(i => parseInt(colour.slice(i, i + 2), 16));
+  const plot = document.querySelector('.uplot canvas');
+  const {data} = plot.getContext('2d').getImageData(0, 0, plot.width, plot.height);
+  let found = 0;
+  for (let i = 0; i < data.length; i += 4)
+    found += data[i + 3] > 200 && wanted.every((v, k) => Math.abs(data[i + k] - v) < 8);
+  return found >= 9;
+}"""
 
 
 @pytest.fixture(scope="module")
@@ -235,11 +252,10 @@ def test_another_browser_sees_the_run_and_may_stop_it(app, chromium):
     try:
         other = Driver(window, f"http://127.0.0.1:{app.page.port}")
         other.tab("3 Refine")
-        assert other.page.get_by_text("Paused: generation").is_visible()
+        other.page.get_by_text("Paused: generation").wait_for()
         other.click("Stop and keep the best")
         wait_until(lambda: app.state.run.status == "review", "it ends", 60)
-        other.frames(2)
-        assert other.page.get_by_role("button", name="Accept", exact=True).is_visible()
+        other.page.get_by_role("button", name="Accept", exact=True).wait_for()
     finally:
         window.close()
     drop(app)
@@ -388,6 +404,115 @@ def test_each_preset_is_chosen_by_its_plain_name_and_the_box_is_told_in_pixels(a
         window.get_by_text(f"Looks about {expected.typical_px:.0f} px").wait_for()
         reaches[preset] = expected.typical_px
     assert reaches["thorough"] > 1.5 * reaches["default"]
+
+
+def test_a_blink_shows_both_photos_in_turn(app):
+    start(app)
+    app.driver.choose("Style", "Blink")
+    wait_until(
+        lambda: app.conductor.drawn.other_jpeg is not None, "both pictures are drawn"
+    )
+    app.driver.frames(2)
+    app.driver.page.evaluate(WATCH_OVERLAY)
+    app.driver.page.wait_for_function("() => overlays.size >= 2", timeout=30_000)
+    drawn = app.conductor.drawn
+    expected = {
+        ",".join(map(str, hashlib.sha256(jpeg).digest()))
+        for jpeg in (drawn.jpeg, drawn.other_jpeg)
+    }
+    # What was shown when the style was chosen may be among them.
+    assert expected <= set(app.driver.page.evaluate("() => [...overlays]"))
+    app.driver.choose("Style", "Blend")
+    drop(app)
+
+
+def test_restarts_and_levels_are_marked_on_the_curve(app):
+    window = app.driver.page
+    fast = RegistrationConfig.preset("fast")
+    twice = dataclasses.replace(fast.genetic, restarts=2)
+    config = dataclasses.replace(fast, genetic=twice)
+    app.session.change(None, setting(preset="fast", config=config))
+    app.driver.click("Refine")
+    to_its_end(app)
+    marks = [point.mark for point in app.state.run.curve]
+    assert marks.count("restart") == 1
+    assert marks.count("level") >= len(fast.polish.blurs_px)
+    for colour in (RESTART, LEVEL):
+        window.wait_for_function(PLOT_HAS, arg=colour, timeout=30_000)
+    app.session.change(None, setting(config=None))
+    drop(app)
+
+
+def test_refining_again_takes_the_cameras_and_starts_from_them(app):
+    start(app)
+    app.driver.click("Stop and keep the best")
+    wait_until(lambda: app.state.run.status == "review", "it stops", 60)
+    first, before = app.state.run, app.state.document
+    app.driver.click("Refine again from here")
+    wait_until(lambda: app.state.run.number == first.number + 1, "another run starts")
+    assert app.state.run.start == first.cameras
+    assert tuple(entry.camera for entry in app.state.document.photos) == first.cameras
+    app.conductor.refinement.pause()
+    drop(app)
+    app.driver.click("Undo: Refine")
+    wait_until(lambda: app.state.document is before, "undo takes it back")
+
+
+def test_an_answer_on_the_border_of_its_box_says_so_and_what_to_do(app):
+    fast = RegistrationConfig.preset("fast")
+    narrow = dataclasses.replace(fast, box=fast.box.widened(0.1))
+    app.session.change(None, setting(preset="fast", config=narrow))
+    app.driver.click("Refine")
+    to_its_end(app)
+    told = app.driver.page.get_by_text(
+        "The answer lies on the border of the search box"
+    )
+    told.wait_for()
+    assert "Refine again from here, or choose a wider box." in told.inner_text()
+    app.session.change(None, setting(config=None))
+    drop(app)
+
+
+def with_second_camera(app, camera: Camera) -> None:
+    """Puts the second photo's camera elsewhere, as a step of undo."""
+    app.session.change("Align badly", with_entry(1, camera=camera))
+
+
+def test_photos_that_hardly_overlap_are_told_before_and_after(app):
+    window, camera = app.driver.page, app.state.document.photos[1].camera
+    turn = Rotation.from_rotvec(np.radians(120.0) * camera.R_cam_world[1]).as_matrix()
+    anchor = app.state.document.mesh.centroid
+    with_second_camera(app, orbited(camera, anchor, turn))
+    window.get_by_text("Align better, or take photos from nearer viewpoints").wait_for()
+    app.session.change(None, setting(preset="fast"))
+    app.driver.click("Refine")
+    to_its_end(app)
+    wait_until(lambda: app.state.run.grade == "unconvincing", "it is not believed")
+    window.get_by_text("align them more closely").first.wait_for()
+    drop(app)
+    app.driver.click("Undo: Align badly")
+    wait_until(lambda: app.state.document.photos[1].camera is camera, "it is undone")
+
+
+def test_a_camera_that_sees_nothing_is_named_and_moves_nothing(app):
+    window, entry = app.driver.page, app.state.document.photos[1]
+    turned = np.diag([-1.0, 1.0, -1.0]) @ entry.camera.R_cam_world
+    away = dataclasses.replace(
+        entry.camera, R_cam_world=turned, t_cam_world=-turned @ entry.camera.center
+    )
+    with_second_camera(app, away)
+    window.get_by_text(
+        f"The camera of {entry.name} sees nothing of the surface: align it in tab 2."
+    ).wait_for()
+    document = app.state.document
+    wait_until(lambda: app.state.worker == "", "the worker is ready", 120)
+    app.driver.click("Refine")
+    window.get_by_text("hardly any common part of the surface").first.wait_for()
+    wait_until(lambda: app.state.run.status == "idle", "there is no run")
+    assert app.state.document is document
+    app.driver.dismiss_toasts()
+    app.driver.click("Undo: Align badly")
+    wait_until(lambda: app.state.document.photos[1] is entry, "it is undone")
 
 
 def test_a_run_of_the_list_is_looked_at_compared_and_restored(app):
