@@ -521,6 +521,7 @@ def test_a_run_of_the_list_is_looked_at_compared_and_restored(app):
     other = next(run for run in reversed(runs) if run is not first and has_moved(run))
     window = app.driver.page
     window.get_by_text("Runs", exact=True).click()
+    app.driver.frames(2)
     row = window.get_by_role("row").filter(
         has=window.get_by_role("cell", name=str(first.number), exact=True).first
     )
