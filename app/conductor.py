@@ -12,6 +12,7 @@ import numpy as np
 
 from app import outcomes
 from app import session as rules
+from app.failures import log_failure
 from app.intake import Intake
 from app.messages import (
     SPARE_TIME,
@@ -90,15 +91,17 @@ class Conductor:
         self.on_surface: Callable[[], None] = lambda: None
         self.on_problem: Callable[[str], None] = _ignore
         """Called with a sentence for everybody who looks at the page."""
+        self.on_failure: Callable[[str, Exception], None] = log_failure
+        """Called with what failed, and how, where nobody foresaw it."""
         self._scene_sent: Document | None = None
         self._reach_asked: MeasureReach | None = None
         self._is_watched = True
         self._deliver: Deliver = _drop
         # One lock for both: listeners run under the session's.
         self._lock = session.lock
-        self.worker = Worker(self._on_event, warm_up)
+        self.worker = Worker(self._hear, warm_up)
         self.refinement = Refinement(session, self.worker, self._send_scene)
-        self.solver = Solver(session)
+        self.solver = Solver(session, self._fail)
         self.intake = Intake(
             session,
             lambda: must_be_idle(session.state),
@@ -207,6 +210,15 @@ class Conductor:
             self.on_picture()
 
     # What the worker reports.
+
+    def _hear(self, event: Event) -> None:
+        try:
+            self._on_event(event)
+        except Exception as error:  # noqa: BLE001 - nobody clicked: all are told.
+            self._fail(type(event).__name__, error)
+
+    def _fail(self, what: str, error: Exception) -> None:
+        self.on_failure(what, error)
 
     def _on_event(self, event: Event) -> None:
         match event:

@@ -1,26 +1,17 @@
 """Small adapters around viser's controls: guarded callbacks, quiet writes, questions."""
 
 import functools
-import logging
 import threading
-import time
 from collections.abc import Callable, Coroutine
 from typing import Any
 
 import viser
 
+from app.failures import MESSAGE_SECONDS, UNFORESEEN, is_news, log_failure
 from photoreg.errors import PhotoregError
 
-log = logging.getLogger(__name__)
-
 BRAND = (38, 166, 154)
-MESSAGE_SECONDS = 9.0
 TYPING_REST_S = 1.0
-
-UNFORESEEN = (
-    "Something failed that photoreg did not foresee. Your work is as it was before; "
-    "photoreg.log in the project's folder has the details."
-)
 
 
 def put(handle: Any, field: str, value: Any) -> None:
@@ -61,6 +52,20 @@ def guarded_slow(callback: Callable[[Any], None]) -> Callable[[Any], None]:
     return run
 
 
+def in_background(
+    client: viser.ClientHandle, what: str, action: Callable[[], object]
+) -> None:
+    """Does what is too slow for the event loop; its errors reach this person, too."""
+
+    def run() -> None:
+        try:
+            action()
+        except Exception as error:  # noqa: BLE001 - nothing may vanish here.
+            report(client, what, error)
+
+    threading.Thread(target=run, daemon=True).start()
+
+
 def guarded_client(
     callback: Callable[[viser.ClientHandle], None],
 ) -> Callable[[viser.ClientHandle], None]:
@@ -87,28 +92,18 @@ def _try(
         report(client, getattr(callback, "__qualname__", "A callback"), error)
 
 
-_told: dict[tuple[int, str], float] = {}
-
-
 def report(client: viser.ClientHandle, what: str, error: Exception) -> None:
     """Tells one person, and the log what nobody foresaw, that something failed.
 
-    What is on that person's screen already is not told again: while a camera is
-    dragged, the same thing fails twenty times a second.
+    What is on that person's screen already is not told again.
     """
     foreseen = isinstance(error, PhotoregError)
     title = "That is not possible" if foreseen else "That did not work"
     text = str(error) if foreseen else UNFORESEEN
-    now = time.monotonic()
-    for key, when in list(_told.items()):
-        if now - when > MESSAGE_SECONDS:
-            _told.pop(key, None)
-    key = (client.client_id, f"{what}: {error}")
-    if _told.setdefault(key, now) != now:
-        return
     if not foreseen:
-        log.error("%s failed", what, exc_info=error)
-    notify(client, title, text)
+        log_failure(what, error)
+    if is_news(client.client_id, f"{what}: {error}"):
+        notify(client, title, text)
 
 
 Typing = tuple[float | None, ...]

@@ -2,7 +2,6 @@
 
 import itertools
 import json
-import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -12,7 +11,7 @@ import viser
 from app import points
 from app.bus import Bus, Values, mounted
 from app.conductor import Conductor
-from app.controls import guarded, guarded_slow, notify, put, put_value
+from app.controls import guarded, guarded_slow, in_background, put, put_value
 from app.markers import Pull
 from app.masks import mask_of, painted_mask
 from app.pair_table import pair_rows, table_html
@@ -22,7 +21,6 @@ from app.session import select, setting, with_entry
 from app.state import State
 from app.widgets import Tool, Tools
 from photoreg.errors import InputError
-from photoreg.mesh import Mesh
 from photoreg.photo import PHOTO_SUFFIXES
 from photoreg.resection import N_POSE
 
@@ -204,7 +202,9 @@ class PointsPanel:
             self._picking.add(client.client_id)
             mesh = self._session.state.document.mesh
             if mesh is not None:
-                threading.Thread(target=_prepare, args=(mesh,), daemon=True).start()
+                # A first ray, which on two million triangles takes seconds.
+                rays = np.zeros((1, 3)), np.ones((1, 3))
+                in_background(client, "Picking", lambda: mesh.first_hits(*rays))
         else:
             self._picking.discard(client.client_id)
 
@@ -226,27 +226,23 @@ class PointsPanel:
         def paint() -> None:
             # A photo of 50 megapixels takes a quarter of a second: not on the loop.
             session = self._session
-            try:
-                with session.lock:
-                    index = points.index_of_photo(session.state, name)
-                    entry = session.state.document.photos[index]
-                    photo = entry.photo
-                    png = painted_mask(
-                        entry.mask_png,
-                        photo.width,
-                        photo.height,
-                        stroke,
-                        radius,
-                        counts,
-                    )
-                    session.change(
-                        f"Paint the mask of photo {index + 1}",
-                        with_entry(index, mask_png=png),
-                    )
-            except InputError as error:
-                notify(client, "That is not possible", str(error))
+            with session.lock:
+                index = points.index_of_photo(session.state, name)
+                entry = session.state.document.photos[index]
+                png = painted_mask(
+                    entry.mask_png,
+                    entry.photo.width,
+                    entry.photo.height,
+                    stroke,
+                    radius,
+                    counts,
+                )
+                session.change(
+                    f"Paint the mask of photo {index + 1}",
+                    with_entry(index, mask_png=png),
+                )
 
-        threading.Thread(target=paint, daemon=True).start()
+        in_background(client, "Painting a mask", paint)
 
     def _load_mask(self, name: str, content: bytes) -> None:
         entry = self._session.state.selected_photo
@@ -342,8 +338,3 @@ def _other_with_points(state: State) -> str | None:
         ):
             return other.name
     return None
-
-
-def _prepare(mesh: Mesh) -> None:
-    """Casts a first ray, which on two million triangles takes seconds."""
-    mesh.first_hits(np.zeros((1, 3)), np.ones((1, 3)))

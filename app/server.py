@@ -8,7 +8,6 @@ import contextlib
 import dataclasses
 import html
 import io
-import logging
 import threading
 import time
 from collections.abc import Callable
@@ -22,6 +21,7 @@ from app.canvas import backdrop
 from app.conductor import Conductor
 from app.controls import BRAND, guarded, guarded_client, notify, put, report
 from app.doors import Doors, start_viser
+from app.failures import log_failure
 from app.hands import Hands
 from app.help import Help
 from app.hints import button_hints
@@ -43,8 +43,6 @@ from app.widgets import Tool, Tools
 from photoreg.camera import Camera
 from photoreg.errors import PhotoregError
 from photoreg.limits import Limits
-
-log = logging.getLogger(__name__)
 
 PAINT_PERIOD_S = 1 / 30
 PASSING_PERIOD_S = 0.25
@@ -101,6 +99,7 @@ class Page:
         conductor.on_picture = self.projects.on_change = self._paint_soon
         conductor.on_surface = self._wake.set
         conductor.on_problem = self._tell_everybody
+        conductor.on_failure = self._report_to_all
         conductor.watch(False)
         self.server.on_client_connect(guarded_client(self._on_connect))
         self.server.on_client_disconnect(guarded_client(self._on_disconnect))
@@ -241,12 +240,8 @@ class Page:
                 self.conductor.blink()
             try:
                 self._paint()
-            except Exception as error:
-                clients = self.server.get_clients()
-                for client in clients.values():
-                    report(client, "Painting the page", error)
-                if not clients:
-                    log.error("Painting the page failed", exc_info=error)
+            except Exception as error:  # noqa: BLE001 - the border of a thread: report.
+                self._report_to_all("Painting the page", error)
             self._painted_at = time.monotonic()
             threading.Event().wait(PAINT_PERIOD_S)
 
@@ -367,6 +362,11 @@ class Page:
             if phase == "end":
                 self._hands.drop(browser)
                 self._paint_soon()
+
+    def _report_to_all(self, what: str, error: Exception) -> None:
+        log_failure(what, error)
+        for client in self.server.get_clients().values():
+            report(client, what, error)
 
     def _tell_everybody(self, sentence: str) -> None:
         for client in self.server.get_clients().values():

@@ -4,13 +4,13 @@ No viser here. Solving takes 10 to 100 ms, too long for the thread that serves t
 """
 
 import dataclasses
-import logging
 import threading
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from typing import NamedTuple
 
 import numpy as np
 
+from app.failures import log_failure
 from app.session import Session, with_entry
 from app.state import PhotoEntry, Solution, State
 from photoreg.camera import Camera
@@ -18,8 +18,6 @@ from photoreg.errors import InputError, PhotoregError
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.resection import N_POSE, Resection, solve_camera
-
-log = logging.getLogger(__name__)
 
 SURFACE_POINTS = 400
 """Vertices over which the error is foretold."""
@@ -36,8 +34,14 @@ class Wanted(NamedTuple):
 class Solver:
     """Keeps ``State.solution`` that of the selected photo's pairs."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(
+        self,
+        session: Session,
+        on_failure: Callable[[str, Exception], None] = log_failure,
+    ) -> None:
+        """``on_failure`` is told what nobody foresaw, and of what it is a failure."""
         self._session = session
+        self._on_failure = on_failure
         self._wake = threading.Event()
         self._closed = False
         self._lock = threading.Lock()
@@ -79,8 +83,8 @@ class Solver:
                 return
             try:
                 self._solve()
-            except Exception:
-                log.exception("Solving failed")
+            except Exception as error:  # noqa: BLE001 - the border of a thread: report.
+                self._on_failure("Solving the points", error)
 
     def _solve(self) -> None:
         # Taken before the pairs are read: a wish that comes later is for newer pairs.

@@ -2,14 +2,17 @@
 
 import contextlib
 import dataclasses
+import json
 import threading
 import time
 from typing import Any
 
 import pytest
 
-from app import controls, server
+from app import conductor, controls, server
 from app.conductor import Conductor
+from app.failures import UNFORESEEN
+from app.messages import Working
 from app.opening import demo_folder, open_folder
 from app.panel_view import ViewPanel
 from app.server import Page
@@ -139,3 +142,28 @@ def test_every_callback_of_the_page_is_guarded(page):
     assert len(callbacks) > 60
     bare = [c for c in callbacks if c.__code__.co_filename != controls.__file__]
     assert not [callback.__qualname__ for callback in bare]
+
+
+def test_what_fails_off_the_event_loop_reaches_the_people_too(page, monkeypatch):
+    page.session.begin(open_folder(demo_folder()))
+    said: list[str] = []
+
+    def hear(message: dict[str, Any]) -> None:
+        if "Notification" in message["type"]:
+            said.append(str(message))
+
+    with listening(f"http://127.0.0.1:{page.port}", hear):
+        wait_until(page.server.get_clients, "a browser is here")
+        (client,) = page.server.get_clients().values()
+        # A stroke is painted on a thread; of a project to look at only, it is refused.
+        page.session.read_only = "It is open to look at only."
+        name = page.session.state.document.photos[0].name
+        stroke = {"stroke": [[9, 9]], "radius": 5, "counts": False, "photo": name}
+        page._bus._deliver(json.dumps({"act": "paint", **stroke}), client)
+        wait_until(lambda: any("look at only" in text for text in said), "it is told")
+        # What the worker tells comes on a thread as well, and nobody clicked.
+        monkeypatch.setattr(conductor.outcomes, "worked", lambda *_: 1 / 0)
+        for _ in range(5):
+            page.conductor._hear(Working("Packing", 0.5))
+        wait_until(lambda: any(UNFORESEEN in text for text in said), "all are told")
+    assert len([text for text in said if UNFORESEEN in text]) == 1

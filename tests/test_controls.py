@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from app.controls import UNFORESEEN, guarded, guarded_client, guarded_slow
+from app.controls import guarded, guarded_client, guarded_slow
+from app.failures import UNFORESEEN
 from photoreg.errors import InputError
 
 
