@@ -48,9 +48,9 @@ EMPTY_PICTURE = np.full((480, 640, 3), 38, dtype=np.uint8)
 KEY = (
     '<div style="margin:0 14px 8px;font-size:11.5px;opacity:.85;display:flex;'
     'flex-wrap:wrap;gap:0 9px;white-space:nowrap">'
-    f'<span style="color:{BEST}">━ best</span><span>┅ median</span>'
-    f'<span>─ quartiles</span><span style="color:{RESTART}">● restart</span>'
-    f'<span style="color:{LEVEL}">● polish level</span></div>'
+    f'<span><span style="color:{BEST}">━</span> best</span><span>┅ median</span>'
+    f'<span>─ quartiles</span><span><span style="color:{RESTART}">●</span> restart</span>'
+    f'<span><span style="color:{LEVEL}">●</span> polish level</span></div>'
 )
 
 

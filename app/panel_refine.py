@@ -196,7 +196,8 @@ def verdict_html(run: Run) -> str:
     return (
         f'<div style="margin:2px 12px 8px;padding:8px 11px;border-radius:7px;'
         f"border-left:4px solid {colour};background:{colour}22;font-size:13px;"
-        f'line-height:1.4"><b style="color:{colour}">{sign} {html.escape(word)}</b><br>'
+        f'line-height:1.4"><b><span style="color:{colour}">{sign}</span> '
+        f"{html.escape(word)}</b><br>"
         f"{html.escape(reason[:1].upper() + reason[1:])}</div>"
     )
 
@@ -299,7 +300,11 @@ def _certainty(run: Run) -> str:
     """How sure each camera is, and what the photos leave open."""
     if not run.standard_errors:
         return ""
-    sure = "".join(f"\n- {sentence}" for sentence in run.standard_errors)
+    # A number keeps to its unit where a line breaks.
+    sentences = [
+        words.replace(" %", "\N{NO-BREAK SPACE}%") for words in run.standard_errors
+    ]
+    sure = "".join(f"\n- {words}" for words in sentences)
     text = f"\n\n**How sure**\n{sure}"
     if run.undetermined:
         weak = "".join(f"\n- {sentence}" for sentence in run.undetermined)
