@@ -3,8 +3,6 @@
 import contextlib
 import dataclasses
 import functools
-import os
-import sys
 import threading
 import time
 import traceback
@@ -39,10 +37,6 @@ from photoreg.surface_lines import SurfaceLines, shaded_normals
 PICTURE_SIDE_PX = 1024
 SURFACE_PERIOD_S = 0.5
 """Time between two states of the surface during a refinement."""
-
-PAINTER_NICENESS = 5
-"""By how much the painter's thread steps back behind the search's: it then draws where
-one of their cores idles, and still gets a quarter of a core where none does."""
 
 ERROR_SAMPLES = 2_000
 JPEG_QUALITY = 82
@@ -207,7 +201,7 @@ class Painter:
         self._send = send
         self._newest: Callable[[], Iterator[Event]] | None = None
         self._surface_at = -np.inf
-        self._period_s = 0.0
+        self._is_passing = False
         self._changed = threading.Condition()
         self._is_busy = False
         threading.Thread(target=self._paint, daemon=True, name="painter").start()
@@ -218,13 +212,12 @@ class Painter:
         cameras: tuple[Camera, ...],
         view: OverlayView,
         truth: tuple[Camera, ...] | None,
-        period_s: float = 0.0,
         start: tuple[Camera, ...] | None = None,
     ) -> None:
         """What to draw next, unless something newer comes first.
 
-        With ``start``, a refinement is going on: the surface is drawn too, and nothing
-        if nobody looks.
+        With ``start``, a refinement is going on: the surface is drawn too, nothing if
+        nobody looks, and pauses leave most of a core to the search.
         """
         if start is not None and not self.is_watched:
             return
@@ -238,8 +231,7 @@ class Painter:
                 yield drawing.surface(cameras, view.surface)
 
         with self._changed:
-            self._newest = draw
-            self._period_s = period_s
+            self._newest, self._is_passing = draw, start is not None
             self._changed.notify_all()
 
     def finish(self) -> None:
@@ -249,14 +241,13 @@ class Painter:
             self._changed.wait_for(lambda: not self._is_busy)
 
     def _paint(self) -> None:
-        _step_back()
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._newest is not None)
-                draw, period_s = self._newest, self._period_s
+                draw, is_passing = self._newest, self._is_passing
                 assert draw is not None
                 self._newest, self._is_busy = None, True
-            started, worked = time.monotonic(), time.thread_time()
+            worked = time.thread_time()
             try:
                 for event in draw():
                     self._send(event)
@@ -278,18 +269,10 @@ class Painter:
                 with self._changed:
                     self._is_busy = False
                     self._changed.notify_all()
-            if period_s > 0.0:
+            if is_passing:
                 # Never more than two fifths of a core, however large the scene is. Time
                 # that others had the core does not count: it slows the search already.
-                spent, work = time.monotonic() - started, time.thread_time() - worked
-                time.sleep(max(period_s - spent, 1.5 * work, 0.0))
-
-
-def _step_back() -> None:
-    """Lowers the priority of the thread that calls it, where threads have their own."""
-    if sys.platform == "linux":
-        with contextlib.suppress(OSError):
-            os.nice(PAINTER_NICENESS)
+                time.sleep(1.5 * (time.thread_time() - worked))
 
 
 def encode_jpeg(picture: np.ndarray) -> bytes:

@@ -32,8 +32,8 @@ from photoreg.presets import RegistrationConfig
 from photoreg.registration import Event as Step
 from photoreg.registration import Finished, Progress, refine
 
-PICTURE_PERIOD_S = 0.17
-"""Time between overlay pictures during a refinement: nearly six a second. Cameras, cost
+PICTURE_PERIOD_S = 0.16
+"""Time between overlay pictures during a refinement: six a second. Cameras, cost
 and words are told along with them: nobody reads faster, and each redraws the page."""
 
 CLOUD = 80
@@ -208,10 +208,10 @@ class Refining:
         ).to_bytes()
         self._send(SearchKept(KeptSearch(self._job.number, self._search_step, content)))
 
-    def _paint(self, period_s: float = PICTURE_PERIOD_S) -> None:
+    def _paint(self) -> None:
         job = self._job
         self._painter.offer(
-            self._drawing, self._best, self._view, job.truth, period_s, job.cameras
+            self._drawing, self._best, self._view, job.truth, job.cameras
         )
 
     def _must_stop(self, messages: Callable[[bool], Iterator[Job]]) -> bool:
