@@ -12,14 +12,16 @@ from typing import Any
 import cv2
 import pytest
 
+from app import photo_list
 from app.autosave import CHOICES, DOCUMENT_TYPES, fits
 from app.main import open_project
+from app.masks import painted_mask
 from app.opening import demo_folder
 from app.projects import Projects, remove_untouched
 from app.run import CurvePoint, KeptSearch, Run
 from app.session import Session, select, setting, with_document, with_entry
 from app.shelf import LOG_FILE
-from app.state import ModelChoice, State
+from app.state import ModelChoice, PointPair, State
 from photoreg.errors import InputError, OutputError
 from photoreg.photo import load_photo
 from photoreg.presets import RegistrationConfig
@@ -95,6 +97,40 @@ def test_history_choices_and_runs_survive_a_restart(tmp_path: Path) -> None:
     again.change(None, setting(run=Run()))
     assert again.undo() == "Move camera 1"
     assert (again.state.document.photos[0].camera.K == camera.K).all()
+    projects.close()
+
+
+def test_points_masks_names_order_and_use_survive_a_restart_with_their_undo(
+    tmp_path: Path,
+) -> None:
+    session, projects = _opened(tmp_path / "work")
+    first, second = session.state.document.photos
+    pairs = (
+        PointPair(1, (0.1, 0.2, 1 / 3), (12.5, 1e-3)),
+        PointPair(2, None, (7.0, 8.0)),
+        PointPair(4, (-0.0, 1e-300, 5.0)),
+    )
+    size = (first.photo.width, first.photo.height)
+    mask = painted_mask(None, *size, [(90.0, 70.0), (120.0, 70.0)], 15.0, False)
+    name = 'Left, "cleaned" é.jpg'
+    session.change("Points", with_entry(0, pairs=pairs))
+    session.change("Mask", with_entry(0, mask_png=mask))
+    session.change("Rename", photo_list.renamed(first.name, name))
+    session.change("Move in the list", photo_list.shifted(name, 1))
+    session.change("Leave out", photo_list.enabled(second.name, False))
+    projects.close()
+
+    again, projects = _opened(tmp_path / "work")
+    other, ours = again.state.document.photos
+    assert (other.name, ours.name) == (second.name, name)
+    assert (other.enabled, ours.enabled) == (False, True)
+    assert ours.pairs == pairs
+    assert ours.mask_png == mask
+    for step in ("Leave out", "Move in the list", "Rename", "Mask", "Points"):
+        assert again.undo() == step
+    back = again.state.document.photos
+    assert [entry.name for entry in back] == [first.name, second.name]
+    assert [(entry.pairs, entry.mask_png) for entry in back] == [((), None)] * 2
     projects.close()
 
 
