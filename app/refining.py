@@ -135,7 +135,7 @@ class Refining:
         finished, last, curve = None, None, []
         resume = None if job.kept is None else Checkpoint.from_bytes(job.kept.content)
         self._costs = _curve_from(job, resume)
-        told_at = judged_at = -np.inf
+        due = judged_at = -np.inf
         try:
             for event in self._steps(resume):
                 self._best = tuple(event.cameras)
@@ -150,8 +150,8 @@ class Refining:
                 now = time.monotonic()
                 curve.extend(self._costs.points(event))
                 self._keep(event, now)
-                if now - told_at >= PICTURE_PERIOD_S:
-                    told_at = now
+                if now >= due:
+                    due = max(due + PICTURE_PERIOD_S, now)
                     self._send(self._live(event, curve))
                     curve.clear()
                     if now - judged_at >= JUDGE_PERIOD_S:
