@@ -19,6 +19,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from app.outcomes import has_moved
+from app.panel_advanced import all_settings
 from app.panel_overlay import LEVEL, RESTART
 from app.placement import orbited
 from app.run import PRESET_NAMES
@@ -513,6 +514,28 @@ def test_a_camera_that_sees_nothing_is_named_and_moves_nothing(app):
     app.driver.dismiss_toasts()
     app.driver.click("Undo: Align badly")
     wait_until(lambda: app.state.document.photos[1] is entry, "it is undone")
+
+
+def test_every_setting_is_in_the_fold_with_its_help_and_a_wrong_value_is_refused(app):
+    window, usual = app.driver.page, RegistrationConfig.preset(app.state.preset)
+    window.get_by_text("Advanced", exact=True).click()
+    app.driver.frames(2)
+    for found in all_settings(RegistrationConfig):
+        assert found.help, found.path
+        assert window.get_by_text(found.label, exact=True).count() > 0, found.path
+    samples = window.get_by_label("Samples", exact=True)
+    samples.fill("700")
+    samples.press("Tab")
+    wait_until(lambda: app.state.settings.samples == 700, "the setting arrives")
+    window.get_by_text("Changed against the preset: samples.").wait_for()
+    samples.fill("-5")
+    samples.press("Tab")
+    window.get_by_text("The setting stays as it was.").wait_for()
+    assert app.state.settings.samples == 700
+    app.driver.click("Back to the preset")
+    wait_until(lambda: app.state.settings == usual, "all is as the preset has it")
+    app.driver.dismiss_toasts()
+    window.get_by_text("Advanced", exact=True).click()
 
 
 def test_a_run_of_the_list_is_looked_at_compared_and_restored(app):
