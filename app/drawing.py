@@ -75,14 +75,18 @@ class Drawing:
     def true_error(
         self, truth: tuple[Camera, ...] | None, cameras: tuple[Camera, ...]
     ) -> float | None:
-        """Mean projection error in pixels (eq. 5), None where the truth is not known."""
+        """Mean projection error in pixels (eq. 5).
+
+        None where the truth is not known, or the surface is behind a camera.
+        """
         if truth is None:
             return None
         known = self._truth
         if known is None or not all(map(same_camera, known.cameras, truth)):
             # What the true cameras see is nine tenths of the work.
             self._truth = known = Truth(self._mesh, truth, ERROR_SAMPLES)
-        return known.projection_error(cameras).mean
+        error = known.projection_error(cameras).mean
+        return error if np.isfinite(error) else None
 
     def picture(
         self,

@@ -505,6 +505,7 @@ def test_a_camera_that_sees_nothing_is_named_and_moves_nothing(app):
     window.get_by_text(
         f"The camera of {entry.name} sees nothing of the surface: align it in tab 2."
     ).wait_for()
+    wait_until(lambda: app.state.run.error_px is None, "it is no number")
     document = app.state.document
     wait_until(lambda: app.state.worker == "", "the worker is ready", 120)
     app.driver.click("Refine")
