@@ -33,6 +33,7 @@ from tests.bench import (
     speed,
     texture,
     third_view,
+    verdicts,
     way,
 )
 from tests.bench.metrics import (
@@ -55,6 +56,7 @@ __all__ = [
     "speed",
     "texture",
     "third_view",
+    "verdicts",
     "way",
 ]
 
