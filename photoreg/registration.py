@@ -22,6 +22,7 @@ from photoreg.search import Search
 from photoreg.uncertainty import Uncertainty, estimate_uncertainty
 from photoreg.verdict import Verdict, judge
 from photoreg.visibility import visible
+from photoreg.words import listed
 
 __all__ = [
     "Checkpoint",
@@ -413,12 +414,18 @@ def border_warnings(
 ) -> list[str]:
     """A warning that names the genes at ``limit`` half-intervals or beyond, if any."""
     beyond = np.abs(gene_map.to_genes(cameras)) >= limit
-    names = [
-        name for name, is_on in zip(gene_map.names(), beyond, strict=True) if is_on
-    ]
-    if not names:
+    by_camera: dict[str, list[str]] = {}
+    for name, is_on in zip(gene_map.names(), beyond, strict=True):
+        if is_on:
+            camera, _, gene = name.rpartition(": ")
+            by_camera.setdefault(camera, []).append(gene)
+    if not by_camera:
         return []
+    genes = "; ".join(
+        f"{camera}: {listed(names)}" if camera else listed(names)
+        for camera, names in by_camera.items()
+    )
     return [
-        f"The answer lies on the border of the search box ({', '.join(names)}): the true "
-        "cameras may lie outside. Refine again from here, or choose a wider box."
+        f"The answer lies on the border of the search box ({genes}): the true cameras "
+        "may lie outside. Refine again from here, or choose a wider box."
     ]

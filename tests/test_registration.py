@@ -12,8 +12,15 @@ from photoreg.alignment import PolishConfig
 from photoreg.camera import Camera
 from photoreg.errors import InputError, RefinementError
 from photoreg.evaluate import projection_error
+from photoreg.genes import GeneMap
 from photoreg.genetic import GeneticConfig
-from photoreg.registration import Finished, Progress, RegistrationConfig, refine
+from photoreg.registration import (
+    Finished,
+    Progress,
+    RegistrationConfig,
+    border_warnings,
+    refine,
+)
 from photoreg.rough import rough_start
 from tests.scenes import small_scene
 
@@ -307,6 +314,15 @@ def test_an_answer_on_the_border_of_the_box_is_told():
     genetic = dataclasses.replace(SEARCH.genetic, mutation_sigma=0.6)
     last = end(dataclasses.replace(SEARCH, box=box, pull=0.0, genetic=genetic))
     assert any("border of the search box" in warning for warning in last.warnings)
+
+
+def test_the_genes_on_the_border_are_told_camera_by_camera():
+    scene = small_scene()
+    genes = GeneMap(scene.rough_cameras, scene.mesh.centroid)
+    (warning,) = border_warnings(genes, scene.rough_cameras, 0.0)
+    assert "(camera 1: focal length, principal point x, " in warning
+    assert " and centre z; camera 2: focal length, " in warning
+    assert border_warnings(genes, scene.rough_cameras, 0.1) == []
 
 
 def test_one_photo_or_a_missing_camera_is_refused_at_once():
