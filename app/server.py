@@ -421,7 +421,8 @@ def status_line(state: State, is_kept: bool = True) -> str:
         colour, text = "#e8a33d", f"{job.title} …"
         tail = _job_html(job)
     elif run.is_active:
-        colour, text = "#e8a33d", f"Refining: {run.step or 'starting'}"
+        doing = "Paused" if run.status == "paused" else "Refining"
+        colour, text = "#e8a33d", f"{doing}: {run.step or 'starting'}"
     elif run.status == "review":
         colour, text = "#2dbeaf", "Refined. Accept or revert in tab 3."
     elif state.document.mesh is None:

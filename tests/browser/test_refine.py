@@ -150,6 +150,7 @@ def test_a_paused_run_stands_still_and_goes_on_when_resumed(app):
     start(app, hold=False)
     app.driver.click("Pause")
     wait_until(lambda: app.state.run.status == "paused", "it pauses")
+    app.driver.page.get_by_role("status").get_by_text("Paused: ").wait_for()
     # What was on its way arrives; then nothing more comes.
     app.driver.page.wait_for_timeout(500)
     before = app.state.run.evaluations, len(app.state.run.curve)
