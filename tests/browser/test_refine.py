@@ -257,7 +257,7 @@ def test_another_browser_sees_the_run_and_may_stop_it(app, chromium):
     try:
         other = Driver(window, f"http://127.0.0.1:{app.page.port}")
         other.tab("3 Refine")
-        other.page.get_by_text("Paused: generation").wait_for()
+        other.page.get_by_role("status").get_by_text("Paused: generation").wait_for()
         other.click("Stop and keep the best")
         wait_until(lambda: app.state.run.status == "review", "it ends", 60)
         other.page.get_by_role("button", name="Accept", exact=True).wait_for()
@@ -384,7 +384,7 @@ def test_a_page_that_is_closed_stops_nothing_and_shows_the_run_when_it_comes_bac
     app.driver = Driver(window, f"http://127.0.0.1:{app.page.port}")
     app.driver.dismiss_toasts()
     app.driver.tab("3 Refine")
-    window.get_by_text("Paused: generation").wait_for()
+    window.get_by_role("status").get_by_text("Paused: generation").wait_for()
     drop(app)
 
 
