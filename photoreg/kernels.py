@@ -86,7 +86,7 @@ def pixel_cell(offset, width, height, x, y):
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
-def sample(pixels, offset, width, height, u, v, seen, index, n, colours):
+def sample(pixels, layout, u, v, seen, index, n, colours):
     """Bilinear colours of the listed samples.
 
     All is read before anything is written: the compiler cannot know that ``colours``
@@ -95,9 +95,7 @@ def sample(pixels, offset, width, height, u, v, seen, index, n, colours):
 
     Args:
         pixels: (total, 4) float32: three colour channels and validity, row by row.
-        offset: The photo's first row in ``pixels``.
-        width: Photo width in pixels.
-        height: Photo height in pixels.
+        layout: (3,) int64: the photo's first row in ``pixels``, its width and height.
         u: (n_all,) float32 pixel columns, inside the photo where seen.
         v: (n_all,) float32 pixel rows.
         seen: (n_all,) uint8; what is not seen is left as it is.
@@ -105,6 +103,7 @@ def sample(pixels, offset, width, height, u, v, seen, index, n, colours):
         n: How many.
         colours: (n_all, 4) float32; three channels of the first ``n`` are written.
     """
+    offset, width, height = layout[0], layout[1], layout[2]
     one, down = np.uint64(1), np.uint64(width)
     for k in range(n):
         # Unsigned, a number needs no test for counting from the end.
@@ -125,11 +124,12 @@ def sample(pixels, offset, width, height, u, v, seen, index, n, colours):
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
-def sample_validity(pixels, offset, width, height, u, v, seen, index, n, colours):
+def sample_validity(pixels, layout, u, v, seen, index, n, colours):
     """Bilinear validity of the listed samples, into the fourth channel of ``colours``.
 
     The arguments are those of ``sample``.
     """
+    offset, width, height = layout[0], layout[1], layout[2]
     one, down = np.uint64(1), np.uint64(width)
     for k in range(n):
         j = np.uint64(index[k])
@@ -327,32 +327,11 @@ def population_costs(
                 index,
             )
             for i in range(n_photos):
-                sample(
-                    pixels,
-                    layouts[i, 0],
-                    layouts[i, 1],
-                    layouts[i, 2],
-                    u[i],
-                    v[i],
-                    seen[i],
-                    index,
-                    n_seen,
-                    colours[i],
-                )
+                at = pixels, layouts[i], u[i], v[i], seen[i], index, n_seen, colours[i]
+                sample(*at)
+                if has_mask:
+                    sample_validity(*at)
             if has_mask:
-                for i in range(n_photos):
-                    sample_validity(
-                        pixels,
-                        layouts[i, 0],
-                        layouts[i, 1],
-                        layouts[i, 2],
-                        u[i],
-                        v[i],
-                        seen[i],
-                        index,
-                        n_seen,
-                        colours[i],
-                    )
                 n_seen = drop_masked(seen, index, n_seen, colours)
             kept[individual] = n_seen
             if n_seen < min_samples:
