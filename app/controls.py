@@ -56,14 +56,7 @@ def in_background(
     client: viser.ClientHandle, what: str, action: Callable[[], object]
 ) -> None:
     """Does what is too slow for the event loop; its errors reach this person, too."""
-
-    def run() -> None:
-        try:
-            action()
-        except Exception as error:  # noqa: BLE001 - nothing may vanish here.
-            report(client, what, error)
-
-    threading.Thread(target=run, daemon=True).start()
+    threading.Thread(target=_try, args=(client, what, action), daemon=True).start()
 
 
 def guarded_client(
@@ -73,23 +66,25 @@ def guarded_client(
 
     @functools.wraps(callback)
     def run(client: viser.ClientHandle) -> None:
-        _try(callback, client, client)
+        _try(client, _name(callback), lambda: callback(client))
 
     return run
 
 
 def _call(callback: Callable[[Any], None], event: Any) -> None:
     if event.client is not None:
-        _try(callback, event, event.client)
+        _try(event.client, _name(callback), lambda: callback(event))
 
 
-def _try(
-    callback: Callable[[Any], None], argument: Any, client: viser.ClientHandle
-) -> None:
+def _name(callback: Callable[..., object]) -> str:
+    return getattr(callback, "__qualname__", "A callback")
+
+
+def _try(client: viser.ClientHandle, what: str, action: Callable[[], object]) -> None:
     try:
-        callback(argument)
+        action()
     except Exception as error:  # noqa: BLE001 - nothing may vanish here.
-        report(client, getattr(callback, "__qualname__", "A callback"), error)
+        report(client, what, error)
 
 
 def report(client: viser.ClientHandle, what: str, error: Exception) -> None:
