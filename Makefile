@@ -18,6 +18,7 @@ test: .venv/.stamp-dev ## Run all tests that are not marked slow, the browser's 
 	@$(BIN)/python tests/browser/ensure_chromium.py
 	@$(BIN)/python -m tests.compile_kernels
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
+	NUMBA_THREADING_LAYER=workqueue $(BIN)/pytest -n 2 -m "workqueue and not slow"
 
 test-slow: .venv/.stamp-dev ## Run the tests marked slow (minutes)
 	@$(BIN)/python tests/browser/ensure_chromium.py

@@ -202,11 +202,14 @@ def sample_cubic(photo, u, v, out):
         out[k, 2] = by_v * inside
 
 
-@nb.njit(parallel=True, cache=True, nogil=True)
+@nb.njit(cache=True, nogil=True)
 def pixel_rays(pixels, K_inverse, R_cam_world):
-    """Directions in world axes of pixels (n, 2), with depth 1 along the camera's z."""
+    """Directions in world axes of pixels (n, 2), with depth 1 along the camera's z.
+
+    Not parallel: helper threads call it, and only one thread may call what is.
+    """
     out = np.zeros((len(pixels), 3))
-    for i in nb.prange(len(pixels)):
+    for i in range(len(pixels)):
         u, v = pixels[i, 0], pixels[i, 1]
         y = K_inverse[1, 1] * v + K_inverse[1, 2]
         x = K_inverse[0, 0] * u + K_inverse[0, 1] * v + K_inverse[0, 2]

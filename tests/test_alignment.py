@@ -12,6 +12,8 @@ from photoreg.rough import rough_start
 from photoreg.uncertainty import estimate_uncertainty, undetermined_directions
 from tests.polish_scene import make_polish_scene, moved, projection_error_px
 
+pytestmark = pytest.mark.workqueue
+
 QUICK = PolishConfig(
     blurs_px=(8.0, 2.0, 0.5),
     points=(3000, 6000, 15000),

@@ -22,6 +22,7 @@ def judge(scene) -> Judge:
     return Judge(scene.mesh, scene.photos)
 
 
+@pytest.mark.workqueue
 def test_the_true_cameras_agree_and_agreement_falls_as_one_is_moved(scene, judge):
     anchor = scene.mesh.bounds.mean(axis=0)
     shares, errors = [], []

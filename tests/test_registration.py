@@ -24,6 +24,8 @@ from photoreg.registration import (
 from photoreg.rough import rough_start
 from tests.scenes import small_scene
 
+pytestmark = pytest.mark.workqueue
+
 SEARCH = dataclasses.replace(
     RegistrationConfig.preset("default"),
     samples=200,

@@ -82,6 +82,7 @@ def by_rays(mesh, camera, points, face) -> np.ndarray:
     return seen & mesh.is_unoccluded(points, camera.center, 1e-3)
 
 
+@pytest.mark.workqueue
 def test_painted_texels_have_the_true_colour(textured):
     points, _, on_chart = texel_points(textured)
     painted = (textured.photo_index >= 0)[on_chart]
@@ -203,6 +204,7 @@ def test_no_seam_shows_at_the_borders_of_charts(mesh, photos, cameras):
     assert np.percentile(error, 99) < 4.0, np.percentile(error, 99)
 
 
+@pytest.mark.workqueue
 def test_different_exposures_are_evened_out(mesh, photos, cameras, atlas):
     dark = photograph(mesh, cameras[1], "dark.png", gain=0.7)
     textured = bake_texture(mesh, [photos[0], dark], cameras, atlas=atlas)
@@ -221,6 +223,7 @@ def test_photos_of_equal_exposure_are_left_alone(textured):
     np.testing.assert_allclose(textured.gains, 1.0, atol=0.01)
 
 
+@pytest.mark.workqueue
 def test_best_view_takes_each_texel_from_one_photo(mesh, photos, cameras, atlas):
     grey = [
         dataclasses.replace(photo, pixels=np.full_like(photo.pixels, value))
@@ -393,6 +396,7 @@ def test_unseen_surface_keeps_the_vertices_own_colours(mesh, photos, cameras, at
     assert error.mean() < 4.0, error.mean()
 
 
+@pytest.mark.workqueue
 def test_unseen_surface_keeps_the_mesh_s_own_texture(mesh, photos, cameras, textured):
     # The same surface has a whole texture on coordinates of its own.
     whole = bake_texture(

@@ -79,6 +79,7 @@ def shared() -> Iterator[tuple[Worker, Listener]]:
     worker.close()
 
 
+@pytest.mark.workqueue
 def test_the_worker_s_answer_is_the_engine_s_to_the_bit(shared, scene):
     worker, listener = shared
     mesh, photos, cameras = scene.mesh, scene.photos, scene.cameras
@@ -173,6 +174,7 @@ def test_stop_ends_the_run_with_the_best_so_far(shared, scene):
     )
 
 
+@pytest.mark.workqueue
 def test_pictures_come_while_the_search_runs(shared, scene):
     worker, listener = shared
     job = Refine(scene.rough_cameras, THOROUGH, VIEW, scene.cameras)
@@ -263,6 +265,7 @@ def test_killing_the_worker_keeps_the_best_and_the_next_run_works(conductor):
     assert state.run.cost <= state.run.start_cost
 
 
+@pytest.mark.workqueue
 def test_a_run_goes_from_start_to_accept_and_back_by_undo(conductor):
     session = conductor.session
     session.change(None, rules.setting(preset="fast"))
@@ -374,6 +377,7 @@ def test_the_overlay_follows_the_cameras_and_tells_the_true_error(conductor):
     assert conductor.picture != first
 
 
+@pytest.mark.workqueue
 def test_baking_is_stopped_between_its_steps_and_then_works(conductor):
     session = conductor.session
     conductor.bake()
