@@ -7,17 +7,20 @@ do these, and send what was done as JSON through a hidden text input.
 import html
 import itertools
 import json
-import logging
 from collections.abc import Callable
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import viser
 
 from app.controls import guarded
+from app.incoming import LARGEST_NUMBER
 from photoreg.errors import InputError
 from photoreg.limits import Limits
 
-log = logging.getLogger(__name__)
+_BOUNDS = msgspec.Meta(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)
+Number = Annotated[float, _BOUNDS]
+Whole = Annotated[int, _BOUNDS]
 
 Values = dict[str, Any]
 Handler = Callable[[Values, viser.ClientHandle], None]
@@ -30,7 +33,7 @@ class Bus:
 
     def __init__(self, gui: viser.GuiApi, limits: Limits) -> None:
         self.limits = limits
-        self._handlers: dict[str, Handler] = {}
+        self._handlers: dict[str, tuple[Handler, dict[str, Any]]] = {}
         self._text = gui.add_text("page", "", visible=False)
         self.upload = gui.add_upload_button("Files", visible=True)
         self._boot = gui.add_html(self._boot_html())
@@ -43,9 +46,15 @@ class Bus:
             assert event.client is not None
             self._deliver(event.target.value, event.client)
 
-    def on(self, act: str, handler: Handler) -> None:
-        """Calls ``handler(values, client)`` for messages of this kind."""
-        self._handlers[act] = handler
+    def on(self, act: str, handler: Handler, **fields: Any) -> None:
+        """Calls ``handler(values, client)`` for messages of this kind.
+
+        Args:
+            act: The kind of message.
+            handler: What is called.
+            fields: The values it has, and their types; no others reach the handler.
+        """
+        self._handlers[act] = handler, fields
 
     def off(self, act: str) -> None:
         """Forgets the handler of this kind of message."""
@@ -58,15 +67,18 @@ class Bus:
 
     def _deliver(self, text: str, client: viser.ClientHandle) -> None:
         try:
-            values = json.loads(text)
-            handler = self._handlers[values["act"]]
-        except (ValueError, KeyError, TypeError) as error:
-            raise InputError(f"{NOT_UNDERSTOOD} (unknown message)") from error
-        try:
-            handler(values, client)
-        except (KeyError, TypeError, ValueError) as error:
-            log.exception("The page's message was not understood: %.200s", text)
-            raise InputError(f"{NOT_UNDERSTOOD} ({values['act']})") from error
+            values = json.loads(text, parse_constant=_no_number)
+            json.dumps(values, ensure_ascii=False).encode()
+            handler, fields = self._handlers[values["act"]]
+            checked = {
+                name: msgspec.convert(values[name], kind)
+                for name, kind in fields.items()
+            }
+        except UnicodeEncodeError as error:
+            raise InputError(HALF_A_CHARACTER) from error
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            raise InputError(NOT_UNDERSTOOD) from error
+        handler(checked, client)
 
     def _boot_html(self) -> str:
         text, upload = self._text._impl.uuid, self.upload._impl.uuid
@@ -93,7 +105,15 @@ class Bus:
         )
 
 
-NOT_UNDERSTOOD = "The page sent something this app does not know; reload the page"
+NOT_UNDERSTOOD = "The page sent something this app does not know. Reload the page."
+HALF_A_CHARACTER = (
+    "This text holds half a character (a lone surrogate), which cannot be kept. Type it "
+    "anew."
+)
+
+
+def _no_number(name: str) -> float:
+    raise ValueError(f"{name} is no number of JSON.")
 
 
 def mounted(kind: str, **data: str) -> str:

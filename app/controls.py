@@ -84,7 +84,17 @@ def _try(client: viser.ClientHandle, what: str, action: Callable[[], object]) ->
     try:
         action()
     except Exception as error:  # noqa: BLE001 - nothing may vanish here.
-        report(client, what, error)
+        if not has_left(client, error):
+            report(client, what, error)
+
+
+def has_left(client: viser.ClientHandle, error: Exception) -> bool:
+    """Whether ``error`` is viser's refusal to write to a browser that left meanwhile."""
+    return (
+        isinstance(error, RuntimeError)
+        and "on a removed" in str(error)
+        and client._websock_connection.get_message_buffer().done
+    )
 
 
 def report(client: viser.ClientHandle, what: str, error: Exception) -> None:

@@ -25,6 +25,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
+from app.incoming import check_incoming
 from app.opening import static_folder
 from app.pictures import ROOT, Pictures
 from app.wakening import mend_wakening
@@ -256,6 +257,7 @@ def _response(
 def start_viser(doors: Doors, port: int, pictures: Pictures) -> viser.ViserServer:
     """A viser server behind these doors, which also has our pictures."""
     mend_wakening()
+    check_incoming()
     serve = websocket_server.serve
 
     def serve_guarded(*args: Any, process_request: Any = None, **kwargs: Any) -> Any:

@@ -6,7 +6,7 @@ import math
 import viser
 
 from app import photo_list
-from app.bus import Bus, Values, sending
+from app.bus import Bus, Values, Whole, sending
 from app.conductor import Conductor
 from app.controls import guarded, guarded_slow, put, put_value
 from app.placement import guessed_focal_px
@@ -40,19 +40,19 @@ class DataPanel:
                 "Dark page", True, hint="Dark or light colours, in every window."
             )
 
-        bus.on("select", lambda values, _: self._select(str(values["photo"])))
-        bus.on("rename", self._on_rename)
-        bus.on("enable", self._on_enable)
-        bus.on("shift", self._on_shift)
-        bus.on("remove", self._on_remove)
+        bus.on("select", lambda values, _: self._select(values["photo"]), photo=str)
+        bus.on("rename", self._on_rename, photo=str, name=str)
+        bus.on("enable", self._on_enable, photo=str, on=bool)
+        bus.on("shift", self._on_shift, photo=str, by=Whole)
+        bus.on("remove", self._on_remove, photo=str)
         bus.on(
             "batch",
             lambda values, client: conductor.intake.expect(
-                client.client_id, int(values["files"])
+                client.client_id, values["files"]
             ),
+            files=Whole,
         )
-
-        bus.on("oversized", self._on_oversized)
+        bus.on("oversized", self._on_oversized, name=str, size=Whole)
 
         @bus.upload.on_upload
         @guarded
@@ -74,7 +74,7 @@ class DataPanel:
 
     def _on_oversized(self, values: Values, client: viser.ClientHandle) -> None:
         """The page holds a file back that is too large."""
-        sentence = too_large(str(values["name"]), int(values["size"]), self._limits)
+        sentence = too_large(values["name"], values["size"], self._limits)
         self._conductor.intake.refuse(client.client_id, sentence)
 
     # What is done in the cards.
@@ -84,20 +84,20 @@ class DataPanel:
         self._session.change(None, select(index))
 
     def _on_rename(self, values: Values, _: viser.ClientHandle) -> None:
-        old, new = str(values["photo"]), str(values["name"])
+        old, new = values["photo"], values["name"]
         self._session.change(f"Rename {old}", photo_list.renamed(old, new))
 
     def _on_enable(self, values: Values, _: viser.ClientHandle) -> None:
-        name, on = str(values["photo"]), bool(values["on"])
+        name, on = values["photo"], values["on"]
         step = f"{'Use' if on else 'Leave out'} {name}"
         self._session.change(step, photo_list.enabled(name, on))
 
     def _on_shift(self, values: Values, _: viser.ClientHandle) -> None:
-        name, by = str(values["photo"]), int(values["by"])
+        name, by = values["photo"], values["by"]
         self._session.change(f"Move {name} in the list", photo_list.shifted(name, by))
 
     def _on_remove(self, values: Values, _: viser.ClientHandle) -> None:
-        name = str(values["photo"])
+        name = values["photo"]
         self._session.change(f"Remove {name}", photo_list.removed(name))
 
     # What is shown.

@@ -9,7 +9,7 @@ import numpy as np
 import viser
 
 from app import points
-from app.bus import Bus, Values, mounted
+from app.bus import Bus, Number, Values, Whole, mounted
 from app.conductor import Conductor
 from app.controls import guarded, guarded_slow, in_background, put, put_value
 from app.markers import Pull
@@ -72,13 +72,20 @@ class PointsPanel:
             "removes the one in focus. In the photo the wheel zooms, dragging pans. "
             "While this tab is open no camera stands in the way of the model."
         )
-        bus.on("pick", self._on_pick)
-        bus.on("move", self._on_move)
-        bus.on("delete", self._on_delete)
-        bus.on("choose", self._on_choose)
-        bus.on("paint", self._on_paint)
-        bus.on("unmask", self._on_unmask)
-        bus.on("picking", self._on_picking)
+        bus.on("pick", self._on_pick, photo=str, u=Number, v=Number)
+        bus.on("move", self._on_move, photo=str, number=Whole, u=Number, v=Number)
+        bus.on("delete", self._on_delete, photo=str, number=Whole)
+        bus.on("choose", self._on_choose, photo=str, number=Whole | None)
+        bus.on(
+            "paint",
+            self._on_paint,
+            photo=str,
+            stroke=list[tuple[Number, Number]],
+            radius=Number,
+            counts=bool,
+        )
+        bus.on("unmask", self._on_unmask, photo=str)
+        bus.on("picking", self._on_picking, on=bool)
 
         @self._choice.on_update
         @guarded
@@ -176,28 +183,26 @@ class PointsPanel:
         return x, y, z
 
     def _on_pick(self, values: Values, _: viser.ClientHandle) -> None:
-        name = str(values["photo"])
-        pixel = (float(values["u"]), float(values["v"]))
+        name, pixel = values["photo"], (values["u"], values["v"])
         self._change(name, "Point", points.with_photo_point(name, pixel))
 
     def _on_move(self, values: Values, _: viser.ClientHandle) -> None:
-        name, number = str(values["photo"]), int(values["number"])
-        pixel = (float(values["u"]), float(values["v"]))
+        name, number = values["photo"], values["number"]
+        pixel = (values["u"], values["v"])
         change = points.with_moved_point(name, number, pixel)
         self._change(name, f"Move point {number}", change)
 
     def _on_delete(self, values: Values, _: viser.ClientHandle) -> None:
-        name, number = str(values["photo"]), int(values["number"])
+        name, number = values["photo"], values["number"]
         change = points.without_point(name, number)
         self._change(name, f"Delete point {number}", change)
 
     def _on_choose(self, values: Values, _: viser.ClientHandle) -> None:
-        number = values["number"]
-        number = None if number is None else int(number)
-        self._session.change(None, points.chosen(str(values["photo"]), number))
+        change = points.chosen(values["photo"], values["number"])
+        self._session.change(None, change)
 
     def _on_picking(self, values: Values, client: viser.ClientHandle) -> None:
-        self.on_picking(client.client_id, bool(values["on"]))
+        self.on_picking(client.client_id, values["on"])
         if values["on"]:
             self._picking.add(client.client_id)
             mesh = self._session.state.document.mesh
@@ -219,9 +224,8 @@ class PointsPanel:
     # The mask.
 
     def _on_paint(self, values: Values, client: viser.ClientHandle) -> None:
-        stroke = [(float(u), float(v)) for u, v in values["stroke"]][:5000]
-        radius, counts = float(values["radius"]), bool(values["counts"])
-        name = str(values["photo"])
+        stroke = values["stroke"][:5000]
+        radius, counts, name = values["radius"], values["counts"], values["photo"]
 
         def paint() -> None:
             # A photo of 50 megapixels takes a quarter of a second: not on the loop.
@@ -258,7 +262,7 @@ class PointsPanel:
         self._session.change(f"Load the mask {plain}", change)
 
     def _on_unmask(self, values: Values, _: viser.ClientHandle) -> None:
-        index = points.index_of_photo(self._session.state, str(values["photo"]))
+        index = points.index_of_photo(self._session.state, values["photo"])
         self._session.change(
             f"Clear the mask of photo {index + 1}", with_entry(index, mask_png=None)
         )

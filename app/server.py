@@ -19,7 +19,7 @@ import viser
 from app.bus import Bus, sending
 from app.canvas import backdrop
 from app.conductor import Conductor
-from app.controls import BRAND, guarded, guarded_client, notify, put, report
+from app.controls import BRAND, guarded, guarded_client, has_left, notify, put, report
 from app.doors import Doors, start_viser
 from app.failures import log_failure
 from app.hands import Hands
@@ -281,10 +281,14 @@ class Page:
                 self._scene_at = now
                 self._show_scene(state)
         for number, viewport in list(self._viewports.items()):
-            viewport.show(state)
             panel = self._view_panels.get(number)
-            if panel is not None:
-                panel.show(state)
+            try:
+                viewport.show(state)
+                if panel is not None:
+                    panel.show(state)
+            except RuntimeError as error:
+                if not has_left(viewport.client, error):
+                    raise
 
     def _show_scene(self, state: State) -> None:
         """Shows the 3-D view, all of it at once."""

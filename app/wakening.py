@@ -8,7 +8,7 @@ list of them meanwhile, and the message's sender got "deque mutated during itera
 import asyncio
 from typing import Any
 
-from viser.infra import _infra
+from viser.infra import Message, _infra
 from viser.infra._async_message_buffer import AsyncMessageBuffer
 
 
@@ -38,6 +38,11 @@ class WakeningBuffer(AsyncMessageBuffer):
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self.message_event = LoopEvent(self.event_loop)
+
+    def push(self, message: Message) -> None:
+        """Takes a message, unless the browser that it is for has left meanwhile."""
+        if not self.done:
+            super().push(message)
 
 
 def mend_wakening() -> None:

@@ -11,6 +11,7 @@ from viser._icons import svg_from_icon
 
 from app.bus import Bus, Values, sending
 from app.controls import put
+from photoreg.errors import InputError
 
 SELECTED = "background:#26a69a;color:#04211e;font-weight:600"
 ROW = "display:flex;align-items:center;margin:0 12px 8px"
@@ -77,7 +78,7 @@ class Choice:
     ) -> None:
         self._label = label
         self._options: dict[str, Option] = dict(options)
-        self._act = _listen(bus, on_choice)
+        self._act = _listen(bus, on_choice, lambda value: value in self._options)
         self._html = gui.add_html("", order=order)
 
     def forget(self, bus: Bus) -> None:
@@ -144,12 +145,15 @@ class Tools:
     ) -> None:
         self._label = label
         self._repeat = repeat
-        self._act = _listen(bus, on_press)
+        self._values: set[str] = set()
+        self._act = _listen(bus, on_press, lambda value: value in self._values)
         self._html = gui.add_html("")
         self.show(tools)
 
     def show(self, tools: Sequence[Tool], visible: bool = True) -> None:
         """Makes the buttons as they should be now; words get the room icons leave."""
+        sizes = ("", "+", "-") if self._repeat else ("",)
+        self._values = {tool.value + size for tool in tools for size in sizes}
         worded = any(tool.label for tool in tools)
         buttons = "".join(
             _button(
@@ -177,13 +181,15 @@ class Tools:
         put(self._html, "visible", visible)
 
 
-def _listen(bus: Bus, heard: Heard) -> str:
+def _listen(bus: Bus, heard: Heard, is_there: Callable[[str], bool]) -> str:
     act = f"widget-{next(_numbers)}"
 
     def on_message(values: Values, client: viser.ClientHandle) -> None:
+        if not is_there(values["value"]):
+            raise InputError("That button is not there any more. Press another.")
         heard(client, values["value"])
 
-    bus.on(act, on_message)
+    bus.on(act, on_message, value=str)
     return act
 
 

@@ -42,10 +42,15 @@ def view_from(position: tuple[float, float, float]) -> bytes:
 
 
 @contextlib.contextmanager
-def listening(address: str, hear: Callable[[dict[str, Any]], None]) -> Iterator[None]:
+def listening(
+    address: str, hear: Callable[[dict[str, Any]], None]
+) -> Iterator[Callable[[bytes], None]]:
     """Calls ``hear`` with every message of the page, on a thread, meanwhile.
 
     It tells of a view, so that the page counts it as somebody who looks.
+
+    Yields:
+        What sends a frame as it is.
     """
     origin: Any = address
     protocols: Any = [PROTOCOL]
@@ -67,7 +72,7 @@ def listening(address: str, hear: Callable[[dict[str, Any]], None]) -> Iterator[
     thread.start()
     socket.send(view_from((3.0, 0.0, 1.0)))
     try:
-        yield
+        yield socket.send
     finally:
         socket.close()
         thread.join()
