@@ -30,6 +30,9 @@ RUN_PERIOD_S = 1.0
 RETRY_S = 3.0
 """Time until a write that failed is tried again; a full disk may be emptied."""
 
+WATCH_S = 1.0
+"""How often a look is taken whether the project's folder is still there."""
+
 PATIENCE_S = 2.0
 """How long a write is waited for before the page says that it is still going on."""
 
@@ -175,7 +178,7 @@ class Autosave:
                 with self._condition:
                     if self._kept < self._changed and not self._failed:
                         continue
-                    if self._failed and then is not None:
+                    if self._kept < self._changed and then is not None:
                         raise OutputError(
                             f"{self._session.state.saving} Until it is kept, nothing "
                             "else can be opened; saving as another project helps."
@@ -222,14 +225,15 @@ class Autosave:
     def _write_on(self) -> None:
         while True:
             with self._condition:
-                self._condition.wait_for(
-                    lambda: self._changed > self._kept or self._closed
+                is_due = self._condition.wait_for(
+                    lambda: self._changed > self._kept or self._closed, WATCH_S
                 )
                 if self._closed:
                     return
             try:
                 with self._between_writes:
-                    kept = self._write()
+                    self.project.check_place()
+                    kept = self._write() if is_due else self._kept
             except PhotoregError as error:
                 self._fail(str(error))
             except Exception:

@@ -2,6 +2,7 @@
 
 import logging
 import os
+import shlex
 import signal
 import sys
 import threading
@@ -17,7 +18,11 @@ from app.server import Page
 from app.session import Session
 from app.state import Document
 from photoreg.errors import InputError, OutputError
-from photoreg.project import DATABASE
+from photoreg.project_folder import (
+    FolderInUseError,
+    check_is_free,
+    holds_project,
+)
 
 
 def run_app(
@@ -96,7 +101,7 @@ def open_project(
         InputError: if the project or a file cannot be used as it is.
         OutputError: if the named folder cannot be written.
     """
-    if folder is not None and (folder / DATABASE).exists():
+    if folder is not None and holds_project(folder):
         if files or cameras is not None:
             raise InputError(
                 f"{folder} holds a project already. Open it without other files, or "
@@ -108,6 +113,8 @@ def open_project(
             _say(f"{sentences} The page asks what to do.")
             projects.begin_unkept(Document())
     else:
+        if folder is not None:
+            _check_folder(folder, files, cameras)
         document = open_document(files, cameras)
         try:
             projects.new(document, folder)
@@ -120,6 +127,21 @@ def open_project(
     if projects.current is not None:
         kept = projects.current
         _say(kept.read_only or f"Your work is kept in {kept.folder}.")
+
+
+def _check_folder(folder: Path, files: Sequence[Path], cameras: Path | None) -> None:
+    """Refuses a folder that holds other things, with a command that can be used."""
+    try:
+        check_is_free(folder)
+    except FolderInUseError as error:
+        words = ["photoreg", "app", *map(str, files)]
+        words += [] if cameras is None else ["--cameras", str(cameras)]
+        words += ["--project", str(error.suggestion)]
+        raise InputError(
+            f"{folder} holds other files and no project. A project is begun in a new or "
+            f"an empty folder, so that nothing of yours is touched. Use: "
+            f"{shlex.join(words)}"
+        ) from error
 
 
 def open_document(files: Sequence[Path], cameras: Path | None) -> Document:

@@ -1,7 +1,8 @@
 """The project in the Data tab: its name and place, new, open, save as, files to find."""
 
+import contextlib
 import html
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import viser
 
@@ -12,8 +13,9 @@ from app.projects import NOT_KEPT
 from app.state import State
 from app.widgets import help_line
 from app.words import shortened
-from photoreg.errors import InputError, PhotoregError
+from photoreg.errors import InputError, OutputError, PhotoregError
 from photoreg.project_files import FileProblem
+from photoreg.project_folder import FolderInUseError
 
 MAX_SHOWN = 6
 """How many of the projects opened lately are offered."""
@@ -114,7 +116,10 @@ class ProjectPanel:
 
             def make() -> None:
                 text = name.value.strip()
-                self._projects.new(folder=shelf.folder_named(text) if text else None)
+                with _offering_another(name):
+                    self._projects.new(
+                        folder=shelf.folder_named(text) if text else None
+                    )
 
             question.end("Make it", make)
 
@@ -162,12 +167,12 @@ class ProjectPanel:
             client.gui.add_html(
                 help_line("To take it along: it then needs nothing outside its folder.")
             )
-            question.end(
-                "Save",
-                lambda: self._projects.save_as(
-                    shelf.folder_named(name.value), gather.value
-                ),
-            )
+
+            def save() -> None:
+                with _offering_another(name):
+                    self._projects.save_as(shelf.folder_named(name.value), gather.value)
+
+            question.end("Save", save)
 
     def _problem(self) -> FileProblem:
         problems = self._projects.problems
@@ -239,6 +244,20 @@ def _question(name: str, problems: list[FileProblem]) -> str:
         f"{html.escape(name)} opens{count}</b><br>{html.escape(problem.sentence)} {what}"
         "</div>"
     )
+
+
+@contextlib.contextmanager
+def _offering_another(name: viser.GuiInputHandle[str]) -> Iterator[None]:
+    """Where other things are in a folder, a free one in it stands in the name then."""
+    try:
+        yield
+    except FolderInUseError as error:
+        name.value = str(error.suggestion)
+        raise OutputError(
+            f"{error.folder} holds other files already, and a project is kept in a "
+            "folder of its own. The name above is now that of a new folder in it: "
+            "press again to use that, or type another."
+        ) from error
 
 
 class _Question:

@@ -2,9 +2,8 @@
 
 import contextlib
 import logging
-import shutil
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from app import shelf
@@ -13,13 +12,16 @@ from app.run import Run
 from app.session import Session, setting
 from app.state import Document, Job
 from photoreg.errors import InputError, OutputError, PhotoregError, RefinementError
-from photoreg.project import DATABASE, Project, check_is_free
+from photoreg.project import Project
 from photoreg.project_files import FileProblem
+from photoreg.project_folder import KEPT, check_is_free, holds_project
 
 log = logging.getLogger(__name__)
 
 NOT_KEPT = "Your work is not being kept."
 OLD_COPY = "Brought up to date; as it was before, it is kept as %s."
+MAX_NAMED = 3
+"""How many files are named that are not the project's."""
 
 
 class Projects:
@@ -47,7 +49,8 @@ class Projects:
 
         Raises:
             InputError: if the folder holds a project already.
-            OutputError: if it cannot be made.
+            OutputError: if it cannot be made; `FolderInUseError` if other things are in
+                the folder.
         """
         document = document if document is not None else Document()
         with self._changing("Making a project"):
@@ -55,15 +58,18 @@ class Projects:
             if folder is None:
                 remove_untouched()
                 folder = shelf.free_folder(document)
-            if (folder / DATABASE).exists():
+            if holds_project(folder):
                 raise InputError(
                     f"{folder} holds a project already. Open it, or choose another "
                     "folder."
                 )
             project = Project(folder, DOCUMENT_TYPES)
             if not is_asked_for:
-                with contextlib.suppress(OSError):
-                    (folder / shelf.MADE_HERE).write_text(shelf.MADE_HERE_TEXT)
+                with (
+                    contextlib.suppress(OSError),
+                    (folder / shelf.MADE_HERE).open("x") as mark,
+                ):
+                    mark.write(shelf.MADE_HERE_TEXT)
             self._take(
                 Autosave(self._session, project), lambda: self._session.begin(document)
             )
@@ -171,10 +177,11 @@ class Projects:
             # What could not be kept in the old place is written to the new one.
             self.wait()
             old, was_kept = self._autosave, self.current is not None
+            missing: list[Path] = []
 
             def copy() -> Project:
                 if self.current is not None:
-                    self.current.save_as(folder)
+                    missing.extend(self.current.save_as(folder))
                 return Project(folder, DOCUMENT_TYPES)
 
             autosave = (
@@ -183,8 +190,12 @@ class Projects:
             self._take(autosave, None)
             if gather or not was_kept:
                 # Files that are kept nowhere would go when the program ends.
-                with autosave.project.writing():
-                    autosave.project.files.gather()
+                autosave.project.gather()
+            if missing:
+                self._tell(
+                    f"Saved, but for {_listing(missing)}: not there to be copied any "
+                    "more. When the copy is opened again, it asks for them."
+                )
 
     def keep_file(self, name: str, content: bytes) -> Path | None:
         """Keeps an uploaded file in the open project; None: there is none."""
@@ -261,11 +272,21 @@ class Projects:
                 project.collect_garbage()
             except (PhotoregError, ValueError) as error:
                 log.warning("%s was not tidied up: %s", project.folder, error)
+            if project.foreign:
+                self._tell(
+                    f"In {project.folder.name}/{KEPT}: {_listing(project.foreign)}. "
+                    "photoreg does not know that it made that, so it stays."
+                )
             self._autosave = autosave
             autosave.start()
             autosave.wait()
             self._log = shelf.log_into(project.folder)
         shelf.remember(project.folder)
+
+    def _tell(self, sentence: str) -> None:
+        log.warning("%s", sentence)
+        note = " ".join(filter(None, (self._session.state.note, sentence)))
+        self._session.change(None, setting(note=note))
 
     def _let_go(self, then: Callable[[], None] | None, by_copy: bool = False) -> None:
         if self._autosave is not None:
@@ -316,12 +337,21 @@ def _leave(project: Project) -> None:
         untouched = is_ours and _is_untouched(project)
     except PhotoregError:
         untouched = False
-    project.close()
     if untouched:
-        shutil.rmtree(project.folder, ignore_errors=True)
-    elif is_ours:
+        if not project.remove((shelf.MADE_HERE, *shelf.LOG_FILES)):
+            log.warning("%s holds other files, so it stays.", project.folder)
+        return
+    project.close()
+    if is_ours:
         with contextlib.suppress(OSError):
             mark.unlink()
+
+
+def _listing(paths: Sequence[Path]) -> str:
+    """Names of files, of many the first ones."""
+    names = ", ".join(path.name for path in paths[:MAX_NAMED])
+    more = len(paths) - MAX_NAMED
+    return f"{names} and {more} more" if more > 0 else names
 
 
 def _is_untouched(project: Project) -> bool:

@@ -7,16 +7,21 @@ import logging
 import logging.handlers
 import os
 import sys
+import tempfile
 from pathlib import Path
+from typing import IO
 
 from app.state import Document
 from photoreg.errors import InputError
 from photoreg.project import DATABASE
 from photoreg.project_files import plain_name
+from photoreg.project_folder import identity, look, open_regular
 
 MAX_RECENT = 12
 LOG_FILE = "photoreg.log"
 LOG_BYTES, LOG_COPIES = 1 << 20, 3
+
+LOG_FILES = (LOG_FILE, *(f"{LOG_FILE}.{i + 1}" for i in range(LOG_COPIES)))
 
 MADE_HERE = "made-by-photoreg.txt"
 """In a project that nobody asked for, until it is known that something was done in it."""
@@ -71,7 +76,7 @@ def free_folder(document: Document) -> Path:
     stem = Path(document.mesh.name).stem if document.mesh is not None else "Project"
     name = plain_name(f"{datetime.date.today().isoformat()} {stem}", "Project")
     folder, number = projects_folder() / name, 2
-    while folder.exists():
+    while look(folder) is not None:
         folder = projects_folder() / f"{name} {number}"
         number += 1
     return folder
@@ -88,11 +93,12 @@ def remember(folder: Path) -> None:
     target = data_folder() / "recent.json"
     with contextlib.suppress(OSError):
         target.parent.mkdir(parents=True, exist_ok=True)
-        partial = target.with_suffix(f".{os.getpid()}.part")
-        partial.write_text(
-            json.dumps([str(path) for path in paths[:MAX_RECENT]], indent=1), "utf-8"
-        )
-        partial.replace(target)
+        text = json.dumps([str(path) for path in paths[:MAX_RECENT]], indent=1)
+        with tempfile.NamedTemporaryFile(
+            "w", encoding="utf-8", dir=target.parent, suffix=".part", delete=False
+        ) as partial:
+            partial.write(text)
+        Path(partial.name).replace(target)
 
 
 def _listed() -> list[Path]:
@@ -103,21 +109,47 @@ def _listed() -> list[Path]:
         return []
 
 
-def log_into(folder: Path) -> logging.Handler | None:
-    """Warnings and errors into files beside the project; old ones give way.
+class ProjectLog(logging.handlers.RotatingFileHandler):
+    """A log that is written into a file of its own, never through a link.
 
-    Sentences and tracebacks go there, never pixels.
+    Where it cannot be written, the terminal is what has the details.
     """
-    try:
-        handler = logging.handlers.RotatingFileHandler(
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._known = folder, look(folder)
+        super().__init__(
             folder / LOG_FILE,
             maxBytes=LOG_BYTES,
             backupCount=LOG_COPIES,
             encoding="utf-8",
             delay=True,
         )
-    except OSError:
-        return None
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Writes it, unless another folder has come to the place of the project's."""
+        now, known = look(self._folder), self._known
+        if now is not None and known is not None and identity(now) == identity(known):
+            super().emit(record)
+
+    def _open(self) -> IO[str]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        found = look(self.baseFilename)
+        if found is not None and found.st_nlink > 1:
+            raise OSError(f"{self.baseFilename} has another name elsewhere")
+        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND
+        return os.fdopen(
+            open_regular(self.baseFilename, flags), "a", encoding=self.encoding
+        )
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802
+        """Nobody can be told of it here."""
+
+
+def log_into(folder: Path) -> logging.Handler:
+    """Warnings and errors into files beside the project; old ones give way.
+
+    Sentences and tracebacks go there, never pixels.
+    """
+    handler = ProjectLog(folder)
     handler.setLevel(logging.WARNING)
     handler.setFormatter(
         logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s")

@@ -1,20 +1,16 @@
-"""The files of a project: what was uploaded, what lies elsewhere, and who holds it."""
+"""The files of a project: what was uploaded, and what lies elsewhere."""
 
 import contextlib
 import dataclasses
-import datetime
-import os
-import socket
+import hashlib
 import sqlite3
-import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Literal
+from typing import Literal
 
 from photoreg.errors import InputError, OutputError
+from photoreg.project_folder import KEPT, has_content, partial_name, write_new
 from photoreg.sources import SourceFile, source_file
-
-KEPT = "files"
-"""Folder, within a project, of the files that were uploaded."""
 
 MAX_NAME_CHARACTERS = 150
 """Length of a file name that is kept; file systems end at 255 bytes."""
@@ -85,10 +81,10 @@ class ProjectFiles:
             return FileProblem(key, known.path, "missing")
         return None if same else FileProblem(key, known.path, "changed")
 
-    def keys(self) -> list[str]:
-        """All files, in the order of their paths."""
+    def __iter__(self) -> Iterator[str]:
+        """The keys of all files, in the order of their paths."""
         rows = self._connection.execute("SELECT key FROM files ORDER BY path")
-        return [row[0] for row in rows]
+        return iter([row[0] for row in rows])
 
     def is_same(self, key: str, path: Path) -> bool:
         """Whether what is at ``path`` is what the file of a key was.
@@ -120,39 +116,26 @@ class ProjectFiles:
             (self._stored_path(now.path), now.sha256, now.size, key),
         )
 
+    def place(self, key: str, path: Path) -> None:
+        """Says where the file of a key is, whose content is known to be the same."""
+        self._connection.execute(
+            "UPDATE files SET path = ? WHERE key = ?", (self._stored_path(path), key)
+        )
+
     def forget(self, needed: set[str]) -> None:
         """Forgets all files but those of the keys ``needed``."""
         self._connection.executemany(
             "DELETE FROM files WHERE key = ?",
-            [(key,) for key in self.keys() if key not in needed],
+            [(key,) for key in self if key not in needed],
         )
 
-    def sweep(self) -> None:
-        """Removes uploads that are not among the files; what lies elsewhere stays."""
-        kept = self._folder / KEPT
-        used = {self.find(key).path for key in self.keys()}
-        for path in sorted(kept.rglob("*"), reverse=True):
-            with contextlib.suppress(OSError):
-                if path.is_dir():
-                    path.rmdir()  # Only where nothing is left in it.
-                elif path not in used:
-                    path.unlink()
+    def paths(self) -> list[Path]:
+        """Where all files are."""
+        return [self.find(key).path for key in self]
 
-    def gather(self) -> None:
-        """Copies all files into the project, so that it can be taken along.
-
-        Raises:
-            InputError: if one is missing or has changed; none is copied then.
-            OutputError: if they cannot be written.
-        """
-        away = [key for key in self.keys() if not self._is_kept(self.find(key).path)]
-        for key in away:
-            problem = self.problem(key)
-            if problem is not None:
-                raise InputError(f"{problem.sentence} So no copy of it can be made.")
-        for key in away:
-            path = self.find(key).path
-            self.use(key, keep_file(self._folder / KEPT, path.name, path.read_bytes()))
+    def is_kept(self, key: str) -> bool:
+        """Whether a file lies among those that the project itself holds."""
+        return self._is_kept(self.find(key).path)
 
     def _is_kept(self, path: Path) -> bool:
         return path.is_relative_to(self._folder / KEPT)
@@ -191,122 +174,28 @@ def plain_name(name: str, fallback: str = "file") -> str:
 
 
 def keep_file(folder: Path, name: str, content: bytes) -> Path:
-    """Writes a file under its own name; photos are told by it.
+    """Writes a file under its own name into a folder that is no project's.
 
     If another one has that name already, it goes into a numbered folder beside it; what
-    is there with the same content is not written again.
+    is there with the same content is not written again, and nothing is written over.
 
     Raises:
         OutputError: if it cannot be written.
     """
     plain = Path(plain_name(name))
+    sha256, number = hashlib.sha256(content).hexdigest(), 1
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        path, number = folder / plain, 2
-        while path.exists():
-            if path.is_file() and path.read_bytes() == content:
-                return path
-            path = folder / str(number) / plain
-            number += 1
-        path.parent.mkdir(exist_ok=True)
-        partial = path.with_name(path.name + ".part")
-        with partial.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
+        path = folder / plain
+        while not has_content(path, len(content), sha256):
+            path.parent.mkdir(exist_ok=True)
+            try:
+                write_new(path, content, path.with_name(partial_name()))
+            except FileExistsError:
+                number += 1
+                path = folder / str(number) / plain
     except OSError as error:
         raise OutputError(
             f"{plain} could not be kept in {folder}: {error.strerror or error}."
         ) from error
     return path
-
-
-class FolderLock:
-    """Held by the one program that may write a project; ends with its process."""
-
-    def __init__(self, folder: Path) -> None:
-        self._path = folder / "project.lock"
-        self._file: IO[str] | None = None
-
-    def take(self) -> bool:
-        """Tries to take it; returns whether that worked."""
-        file = self._path.open("a+", encoding="utf-8")
-        if not _lock(file):
-            file.close()
-            return False
-        self._file = file
-        file.seek(0)
-        file.truncate()
-        since = f"{datetime.datetime.now():%Y-%m-%d %H:%M}"
-        file.write(f"process {os.getpid()} on {socket.gethostname()} since {since}\n")
-        file.flush()
-        return True
-
-    @property
-    def holder(self) -> str:
-        """Who holds it, as far as is known."""
-        with contextlib.suppress(OSError, UnicodeDecodeError):
-            return self._path.read_text(encoding="utf-8").strip()
-        return ""
-
-    def release(self) -> None:
-        """Lets others have it. The file stays: removing it would let two in."""
-        if self._file is not None:
-            self._file.close()
-            self._file = None
-
-
-if sys.platform == "win32":
-    import msvcrt
-
-    def _lock(file: IO[str]) -> bool:
-        # Far behind the text, which others may read.
-        file.seek(1 << 30)
-        try:
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-        except OSError:
-            return False
-        return True
-else:
-    import fcntl
-
-    def _lock(file: IO[str]) -> bool:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            return False
-        return True
-
-
-NETWORK_FILE_SYSTEMS = """
-9p afpfs afs beegfs ceph cifs coda davfs fuse.ceph fuse.davfs2 fuse.glusterfs fuse.rclone
-fuse.s3fs fuse.smbnetfs fuse.sshfs gfs2 glusterfs lustre ncpfs nfs nfs4 ocfs2 panfs smb2
-smb3 smbfs vboxsf
-"""
-
-
-def is_on_network(folder: Path, mounts: Path = Path("/proc/self/mountinfo")) -> bool:
-    """Whether other machines may have the folder too, as far as the system tells.
-
-    Args:
-        folder: The folder.
-        mounts: Linux's list of what is mounted where.
-    """
-    resolved = folder.resolve()
-    if sys.platform == "win32":
-        import ctypes  # noqa: PLC0415
-
-        remote = ctypes.windll.kernel32.GetDriveTypeW(resolved.anchor) == 4
-        return remote or resolved.anchor.startswith("\\\\")
-    try:
-        lines = mounts.read_text("utf-8", "replace").splitlines()
-    except OSError:
-        return False
-    kind, longest = "", -1
-    for line in lines:
-        before, _, after = line.partition(" - ")
-        place = before.split()[4].encode().decode("unicode_escape")
-        if resolved.is_relative_to(place) and len(place) >= longest:
-            kind, longest = after.split()[0], len(place)
-    return kind in NETWORK_FILE_SYSTEMS.split()

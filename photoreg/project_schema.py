@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from photoreg.errors import InputError, OutputError
+from photoreg.project_folder import look
 
 APPLICATION_ID = 0x70687267
 """Marks the file as photoreg's ("phrg"), so that no foreign database is touched."""
@@ -65,6 +66,16 @@ MIGRATIONS: tuple[str, ...] = (
         content BLOB NOT NULL
     );
     """,
+    """
+    -- What this program made within the folder, noted down before it was made: nothing
+    -- else is ever removed. Of older projects that is not known, so what they hold stays.
+    CREATE TABLE own (
+        path TEXT PRIMARY KEY, -- relative; "." is the project's folder itself
+        kind TEXT NOT NULL, -- folder, file, or part: a file that is being written
+        sha256 TEXT, -- of a file
+        size INTEGER
+    ) WITHOUT ROWID;
+    """,
 )
 """What leads from each version to the next; the first makes an empty file version 1."""
 
@@ -78,6 +89,7 @@ def prepare(
     connection: sqlite3.Connection,
     path: Path,
     may_write: bool,
+    may_begin: bool,
     migrations: Sequence[str] = MIGRATIONS,
 ) -> Path | None:
     """Makes the tables, or brings those of an older photoreg up to date.
@@ -86,6 +98,8 @@ def prepare(
         connection: The open database.
         path: Its file.
         may_write: Whether this program holds the project.
+        may_begin: Whether nothing else is in the folder, so that a database that holds
+            nothing is one whose making was cut short.
         migrations: What leads from each version to the next.
 
     Returns:
@@ -100,7 +114,7 @@ def prepare(
     mark = connection.execute("PRAGMA application_id").fetchone()[0]
     n_tables = connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()[0]
     newest = len(migrations)
-    if n_tables > 0 and mark != APPLICATION_ID:
+    if mark != APPLICATION_ID and (n_tables > 0 or not may_begin):
         raise InputError(
             f"{path} is a database of another program, not a photoreg project."
         )
@@ -121,15 +135,15 @@ def prepare(
     if version > 0:
         copy = path.with_name(f"{path.stem}-version-{version}.db")
         number = 2
-        while copy.exists():
+        while look(copy) is not None:
             copy = path.with_name(f"{path.stem}-version-{version}-{number}.db")
             number += 1
         try:
             connection.execute("VACUUM INTO ?", (str(copy),))
         except sqlite3.Error as error:
             raise OutputError(
-                f"No copy of {path} could be kept ({error}), so it was left as it is. "
-                "Is the disk full?"
+                f"No copy of {path} could be kept, so it was left as it is: "
+                f"{why(error)}"
             ) from error
     with transaction(connection):
         for number in range(version, newest):
@@ -138,6 +152,22 @@ def prepare(
         connection.execute(f"PRAGMA user_version = {newest}")
         connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     return copy
+
+
+def why(error: sqlite3.Error) -> str:
+    """Why a write failed, and what to do, in words for the user."""
+    match getattr(error, "sqlite_errorcode", 0) & 0xFF:
+        case sqlite3.SQLITE_FULL:
+            advice = "Is the disk full? Free some space."
+        case sqlite3.SQLITE_BUSY | sqlite3.SQLITE_LOCKED:
+            advice = "Another program has the database open and locked; close it there."
+        case sqlite3.SQLITE_READONLY | sqlite3.SQLITE_CANTOPEN | sqlite3.SQLITE_PERM:
+            advice = "May files in that folder be written?"
+        case sqlite3.SQLITE_IOERR:
+            advice = "The disk refuses; is it full, or gone?"
+        case _:
+            advice = "Save it as another project."
+    return f"{error}. {advice}"
 
 
 @contextlib.contextmanager
@@ -150,7 +180,8 @@ def transaction(connection: sqlite3.Connection) -> Iterator[None]:
     try:
         yield
     except BaseException:
-        connection.execute("ROLLBACK")
+        if connection.in_transaction:  # Some failures have ended it already.
+            connection.execute("ROLLBACK")
         raise
     connection.execute("COMMIT")
 

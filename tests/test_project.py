@@ -20,7 +20,8 @@ from photoreg.errors import InputError, OutputError
 from photoreg.mesh import load_mesh
 from photoreg.photo import load_photo
 from photoreg.project import DATABASE, Project, Step
-from photoreg.project_files import is_on_network, keep_file, plain_name
+from photoreg.project_files import keep_file, plain_name
+from photoreg.project_lock import is_on_network
 from photoreg.project_runs import Generation
 
 TYPES = [
