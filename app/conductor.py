@@ -36,6 +36,7 @@ from app.messages import (
     Refine,
     Refined,
     SearchKept,
+    SetMask,
     SetScene,
     Stop,
     SurfaceDrawn,
@@ -347,16 +348,20 @@ class Conductor:
                 self.worker.send(wanted)
 
     def _send_scene(self, document: Document) -> None:
+        """Sends what of the scene the worker does not have yet."""
         sent = self._scene_sent
-        if document.mesh is not None and (
-            sent is None
-            or not document.shows_same_as(sent)
-            or document.masks != sent.masks
-        ):
+        if document.mesh is None:
+            return
+        if sent is None or not document.shows_same_as(sent):
             photos = tuple(entry.photo for entry in document.used)
             addresses = tuple(self.pictures.address(p, "small") for p in photos)
             self.worker.send(SetScene(document.mesh, photos, document.masks, addresses))
-            self._scene_sent = document
+        else:
+            masks = enumerate(zip(sent.masks, document.masks, strict=True))
+            self.worker.send(
+                *(SetMask(i, mask) for i, (known, mask) in masks if mask != known)
+            )
+        self._scene_sent = document
 
     def _tell(self, sentence: str) -> None:
         self.on_problem(sentence)

@@ -44,6 +44,16 @@ class SetScene:
 
 
 @dataclasses.dataclass(frozen=True)
+class SetMask:
+    """Another mask for one photo of the scene; what is big stays where it is."""
+
+    photo: int
+    """Index of the photo in the scene."""
+    png: bytes | None
+    """See ``app.masks``; None: the photo counts everywhere."""
+
+
+@dataclasses.dataclass(frozen=True)
 class OverlayView:
     """How the overlay picture is drawn."""
 
@@ -363,6 +373,7 @@ class Died:
 
 Job = (
     SetScene
+    | SetMask
     | DrawOverlay
     | Refine
     | Compare

@@ -32,6 +32,7 @@ from app.messages import (
     Ready,
     Refine,
     Resume,
+    SetMask,
     SetScene,
     Stop,
     Timed,
@@ -130,11 +131,12 @@ class WorkerProcess:
             case SetScene():
                 self._mesh, self._photos = job.mesh, masked_photos(job)
                 self._addresses = job.addresses
-                self._drawing = self._judge = None
-                self._unchecked = self._possible = None
-                self._cameras = self._unreached = None
-                self._is_timed = False
-                self._drop_preparation()
+                self._begin_anew()
+            case SetMask(photo, png):
+                photos = list(self._photos)
+                photos[photo] = masked(photos[photo], png)
+                self._photos = tuple(photos)
+                self._begin_anew()
             case DrawOverlay():
                 newer = self._newer_overlay(job)
                 # The number first, it is there in no time; the picture on its thread,
@@ -160,6 +162,14 @@ class WorkerProcess:
                 self._painter.is_watched = job.on
             case OverlayView() | Stop() | Pause() | Resume():
                 pass  # Meant for work that has just ended.
+
+    def _begin_anew(self) -> None:
+        """Drops what was made of the scene as it was."""
+        self._drawing = self._judge = None
+        self._unchecked = self._possible = None
+        self._cameras = self._unreached = None
+        self._is_timed = False
+        self._drop_preparation()
 
     def _newer_overlay(self, job: DrawOverlay) -> DrawOverlay:
         """Skips overlays that are already overtaken by the next one in the pipe."""
@@ -318,6 +328,11 @@ def masked_photos(scene: SetScene) -> tuple[Photo, ...]:
     if not scene.mask_pngs:
         return scene.photos
     return tuple(
-        photo if png is None else dataclasses.replace(photo, mask=decode_mask(png))
+        photo if png is None else masked(photo, png)
         for photo, png in zip(scene.photos, scene.mask_pngs, strict=True)
     )
+
+
+def masked(photo: Photo, png: bytes | None) -> Photo:
+    """The photo with this mask, see `app.masks`."""
+    return dataclasses.replace(photo, mask=None if png is None else decode_mask(png))

@@ -7,6 +7,7 @@ import queue
 import signal
 import threading
 from collections.abc import Iterator
+from multiprocessing.reduction import ForkingPickler
 from typing import Any
 
 import cv2
@@ -17,9 +18,12 @@ from PIL import Image
 from app import session as rules
 from app.conductor import Conductor
 from app.drawing import Drawing, Painter
+from app.judge import Judge
+from app.masks import encode_mask
 from app.messages import (
     Event,
     Failed,
+    Job,
     Live,
     OverlayView,
     Picture,
@@ -33,7 +37,7 @@ from app.messages import (
 )
 from app.refining import Preparation, Refining
 from app.run import CurvePoint
-from app.session import Session
+from app.session import Session, with_entry
 from app.state import Document, ModelChoice, PhotoEntry, State, same_camera
 from app.worker import Worker, newest
 from photoreg.errors import InputError, RefinementError
@@ -375,6 +379,31 @@ def test_the_overlay_follows_the_cameras_and_tells_the_true_error(conductor):
     assert error > 1.0
     wait(conductor, lambda s: s.run.error_px < 1e-6, "the overlay follows")
     assert conductor.picture != first
+
+
+def test_of_a_stroke_of_a_mask_only_the_mask_is_sent(conductor, scene, monkeypatch):
+    session, worker = conductor.session, conductor.worker
+    first = wait(conductor, lambda s: s.agreement is not None, "the first number")
+    n_bytes: list[int] = []
+
+    def send(*jobs: Job) -> None:
+        n_bytes.extend(len(ForkingPickler.dumps(job)) for job in jobs)
+        Worker.send(worker, *jobs)
+
+    monkeypatch.setattr(worker, "send", send)
+    left = np.indices(scene.photos[0].pixels.shape[:2])[1] < 150
+    for mask in (left, np.ones_like(left)):
+        before = session.state.agreement
+        session.change("Paint", with_entry(0, mask_png=encode_mask(mask)))
+        wait(conductor, lambda s, old=before: s.agreement is not old, "the number")
+        photos = [entry.masked_photo for entry in session.state.document.used]
+        true = Judge(scene.mesh, photos).agreement(scene.rough_cameras)
+        assert session.state.agreement == true
+        assert (true == first.agreement) == mask.all()
+    # One mask and one overlay a stroke; the mesh and photos are a megabyte.
+    assert len(n_bytes) == 4
+    assert sum(n_bytes) < 20_000
+    assert len(ForkingPickler.dumps(SetScene(scene.mesh, scene.photos))) > 500_000
 
 
 @pytest.mark.workqueue
