@@ -1,12 +1,17 @@
-"""Checks of the public border: shapes, finiteness, ranges, files to read and write."""
+"""Checks of the public border: shapes, finiteness, ranges, files that are read."""
 
+import contextlib
 import os
 import reprlib
+from collections.abc import Iterator
+from contextvars import ContextVar
 from pathlib import Path
 
 import numpy as np
 
-from photoreg.errors import InputError, OutputError
+from photoreg.errors import InputError
+
+_inputs: ContextVar[set[Path] | None] = ContextVar("inputs", default=None)
 
 
 def check_points(points: np.ndarray, name: str) -> np.ndarray:
@@ -84,39 +89,30 @@ def check_input_file(path: Path, what: str, max_mb: float | None = None) -> Path
             f"The {what} {path.name} has {size_mb:,.1f} MB; up to {max_mb:,.0f} MB are "
             "read. Reduce it, or raise the limit (SECURITY.md names its variable)."
         )
+    note_input(path)
     return path
 
 
-def check_output_file(path: Path, suffixes: tuple[str, ...]) -> Path:
-    """Returns ``path`` if a file of one of ``suffixes`` can be written there.
+@contextlib.contextmanager
+def noting_inputs() -> Iterator[None]:
+    """Until the end, every file that is read is noted as one not to be written over.
 
-    Called before long work starts, so that a wrong folder costs nothing.
-
-    Raises:
-        OutputError: if the suffix is unknown, the folder is missing or not
-            writable, or the path is a folder.
+    For a command, which ends; a library's user may well save what was loaded.
     """
-    path = Path(path)
-    if path.suffix.lower() not in suffixes:
-        raise OutputError(
-            f"Cannot write {path}: its suffix should be {' or '.join(suffixes)}, "
-            f"but is {path.suffix or 'missing'}."
-        )
-    if path.is_dir():
-        raise OutputError(f"Cannot write {path}: it is a folder; give a file name.")
-    folder = path.parent
-    if not folder.is_dir():
-        raise OutputError(
-            f"Cannot write {path}: the folder {folder} does not exist. Make it first."
-        )
+    token = _inputs.set(set())
     try:
-        # Only opening tells: permission bits mislead for root and on network drives.
-        with path.open("ab"):
-            pass
-    except OSError as error:
-        raise OutputError(
-            f"Cannot write {path}: {error.strerror or error}. Choose another place."
-        ) from error
-    if path.stat().st_size == 0:
-        path.unlink()
-    return path
+        yield
+    finally:
+        _inputs.reset(token)
+
+
+def note_input(path: Path) -> None:
+    """Notes a file that is read, if anybody wants to know."""
+    noted = _inputs.get()
+    if noted is not None:
+        noted.add(path)
+
+
+def inputs_read() -> frozenset[Path]:
+    """The files noted so far."""
+    return frozenset(_inputs.get() or ())

@@ -22,15 +22,15 @@ import rich.table
 import tyro
 
 from photoreg.camera import Camera
-from photoreg.checks import check_output_file
+from photoreg.checks import noting_inputs
 from photoreg.cli_convert import convert_command
 from photoreg.errors import InputError, OutputError, PhotoregError
 from photoreg.evaluate import projection_error
 from photoreg.formats.cameras import read_cameras
 from photoreg.formats.cameras_json import CameraFile, save_cameras
 from photoreg.formats.pictures import PictureKind, encode_picture
-from photoreg.formats.textured import TEXTURED_FORMATS, save_textured
-from photoreg.formats.writing import write_files
+from photoreg.formats.textured import save_textured, textured_files
+from photoreg.formats.writing import check_outputs, check_suffix, write_files
 from photoreg.mesh import Mesh, load_mesh
 from photoreg.photo import Photo, load_photo
 from photoreg.registration import (
@@ -93,6 +93,7 @@ def _refine_command(preset: RegistrationConfig) -> Callable[..., int]:
         lock_principal_point: tuple[str, ...] = (),
         lock_pose: tuple[str, ...] = (),
         share_focal: tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]] = (),
+        overwrite: bool = False,
         json: bool = False,
         config: Annotated[RegistrationConfig, tyro.conf.arg(name="")] = preset,
     ) -> int:
@@ -114,11 +115,14 @@ def _refine_command(preset: RegistrationConfig) -> Callable[..., int]:
             lock_pose: Photos whose camera stays where it stands and as it is turned.
             share_focal: Photos taken with one camera at one zoom: they get one focal
                 length. No names: all photos. Repeat it for another camera.
+            overwrite: Also replace a file that photoreg did not make.
             json: Print the figures as JSON on standard output.
             config: How to refine.
         """
         del preset  # `config` began as it.
-        check_output_file(out, (".json",))
+        check_outputs(
+            [check_suffix(out, (".json",))], (mesh, *photos, cameras), overwrite
+        )
         surface, pictures, file, start = _load_scene(mesh, photos, cameras)
         names = [photo.name for photo in pictures]
         freedom = Freedom.of_photos(
@@ -131,7 +135,7 @@ def _refine_command(preset: RegistrationConfig) -> Callable[..., int]:
         )
         last, interrupted = _watch(surface, pictures, start, config, freedom)
         best = dict(zip(names, last.cameras, strict=True))
-        save_cameras(out, file.with_cameras(best))
+        save_cameras(out, file.with_cameras(best), overwrite)
         if interrupted:
             _log.print(f"Stopped. The best cameras so far are in {out}.")
         if isinstance(last, Finished):
@@ -226,6 +230,7 @@ def texture_command(
     at_vertices: bool = False,
     picture: PictureKind = "png",
     coverage: Path | None = None,
+    overwrite: bool = False,
     config: Annotated[TextureConfig, tyro.conf.arg(name="")] = TextureConfig(),
     json: bool = False,
 ) -> int:
@@ -241,13 +246,17 @@ def texture_command(
         picture: The texture as PNG, or as JPEG, which is several times smaller.
         coverage: Also draw here (.png) which photo each texel is from, by hue, and how
             well it is seen, by brightness.
+        overwrite: Also replace files that photoreg did not make.
         config: How the texture is made.
         json: Print the figures as JSON on standard output.
     """
-    check_output_file(out, (".ply",) if at_vertices else tuple(TEXTURED_FORMATS))
+    targets = textured_files(out, at_vertices, picture)
     if coverage is not None:
-        check_output_file(coverage, (".png",))
+        targets.append(check_suffix(coverage, (".png",)))
+    check_outputs(targets, (mesh, *photos, cameras), overwrite)
     surface, pictures, _, exact = _load_scene(mesh, photos, cameras, at_least=1)
+    # Once more: the mesh may have named a material and a texture of its own.
+    check_outputs(targets, (mesh, *photos, cameras), overwrite)
     began = time.perf_counter()
     with _bar() as bar, _asked_to_stop() as stop:
         task = bar.add_task("getting ready", total=1.0, cost="")
@@ -261,10 +270,10 @@ def texture_command(
                     _log.print("Stopped. Nothing was written.")
                     return 1
     assert isinstance(textured, TexturedMesh)
-    written = save_textured(out, textured, at_vertices, picture)
+    written = save_textured(out, textured, at_vertices, picture, overwrite)
     if coverage is not None:
         shown = encode_picture(textured.coverage_picture())
-        written += write_files({coverage: shown})
+        written += write_files({coverage: shown}, overwrite=overwrite)
     elapsed_s = time.perf_counter() - began
     height, width = textured.texture.shape[:2]
     _log.print(
@@ -321,17 +330,20 @@ def synthesize_command(
     return 0
 
 
-def reproduce_command(*, out: Path, runs: int = 10, seed: int = 0) -> int:
+def reproduce_command(
+    *, out: Path, runs: int = 10, seed: int = 0, overwrite: bool = False
+) -> int:
     """Make the paper's experiment on the synthetic Shell and write a report.
 
     Args:
         out: Folder for report.html, report.md, results.json and the figures.
         runs: Runs of each column of the paper's Table 1.
         seed: Of the rough cameras and the searches.
+        overwrite: Also replace files in the folder that photoreg did not make.
     """
     with _bar() as bar, _asked_to_stop() as stop:
         task = bar.add_task("getting ready", total=1.0, cost="")
-        for step in reproduce(out, runs, seed):
+        for step in reproduce(out, runs, seed, overwrite=overwrite):
             if isinstance(step, Reproduced):
                 _log.print(f"Written: {', '.join(str(path) for path in step.paths)}.")
                 return 0
@@ -352,12 +364,13 @@ def run(
     tyro itself ends with status 2 and its message where the words are off.
     """
     try:
-        return tyro.extras.subcommand_cli_from_dict(
-            {**(others or {}), **commands(argv)},
-            prog="photoreg",
-            description="Lays photographs onto a scanned 3-D surface, precisely.",
-            args=list(argv),
-        )
+        with noting_inputs():
+            return tyro.extras.subcommand_cli_from_dict(
+                {**(others or {}), **commands(argv)},
+                prog="photoreg",
+                description="Lays photographs onto a scanned 3-D surface, precisely.",
+                args=list(argv),
+            )
     except PhotoregError as error:
         _log.print(f"photoreg: {error}", markup=False)
         return 2

@@ -35,6 +35,7 @@ def convert_command(
     to_format: Annotated[FormatName | None, tyro.conf.arg(name="to")] = None,
     mesh: Path | None = None,
     photos: tuple[Path, ...] = (),
+    overwrite: bool = False,
     json: bool = False,
 ) -> int:
     """Turn cameras of one program into those of another; say what is lost.
@@ -51,6 +52,7 @@ def convert_command(
         mesh: The mesh that the cameras look at; a MeshLab project names it.
         photos: The photos, or their folder: MeshLab may need padded copies, Bundler and
             texrecon their sizes.
+        overwrite: Also replace files that photoreg did not make, or cannot tell.
         json: Print what was written and lost as JSON on standard output.
     """
     source = camera_format(from_format) if from_format else format_to_read(cameras)
@@ -60,7 +62,10 @@ def convert_command(
     paths = list(_photo_files(photos))
     file = read_cameras(cameras, source.name, paths)
     saved = write_cameras(
-        out, CameraSet(file.cameras, photos_by_name(paths), mesh), target.name
+        out,
+        CameraSet(file.cameras, photos_by_name(paths), mesh),
+        target.name,
+        overwrite,
     )
     n = len(file.cameras)
     _log.print(

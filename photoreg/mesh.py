@@ -16,9 +16,10 @@ from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
 from jaxtyping import Bool, Float, Int, UInt8
 from PIL import Image
+from trimesh.resolvers import FilePathResolver
 
 from photoreg import decimation
-from photoreg.checks import check_input_file, check_points
+from photoreg.checks import check_input_file, check_points, note_input
 from photoreg.errors import InputError
 from photoreg.limits import Limits
 from photoreg.mesh_headers import check_announced, check_counts
@@ -269,12 +270,6 @@ class Mesh:
         vertices, faces = decimation.decimated(self.vertices, faces, n_faces)
         return Mesh(vertices, faces, name=self.name)
 
-    def save(self, path: Path) -> None:
-        """Writes vertices and faces, in the format of the suffix."""
-        trimesh.Trimesh(
-            self.vertices, self.faces, process=False, validate=False
-        ).export(path)
-
 
 def load_mesh(path: Path | str, limits: Limits | None = None) -> Mesh:
     """Loads OBJ, PLY, STL, GLB or OFF; units, axes and vertex order are untouched.
@@ -323,12 +318,27 @@ def load_mesh(path: Path | str, limits: Limits | None = None) -> Mesh:
     )
 
 
+class _Beside(FilePathResolver):
+    """What a mesh's file names in its folder: its material, its texture."""
+
+    def absolute(self, name: str) -> Path:
+        """The path of a name; it counts as read."""
+        path = super().absolute(name)
+        note_input(path)
+        return path
+
+
 def _read(path: Path, limits: Limits, maintain_order: bool = True) -> trimesh.Trimesh:
     try:
         with warnings.catch_warnings():
             # numpy warns of what it then refuses, or reads up to.
             warnings.simplefilter("ignore")
-            loaded = trimesh.load(path, process=False, maintain_order=maintain_order)
+            loaded = trimesh.load(
+                path,
+                resolver=_Beside(str(path)),
+                process=False,
+                maintain_order=maintain_order,
+            )
             if isinstance(loaded, trimesh.Scene):
                 _check_scene(loaded, path.name, limits)
                 loaded = _joined(loaded)

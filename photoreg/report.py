@@ -11,8 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from photoreg.errors import OutputError
 from photoreg.experiment import Run
+from photoreg.formats.mark import COMMENT, marked_picture
+from photoreg.formats.writing import write_files
 from photoreg.report_plots import draw_cost_against_error, draw_error_of_each_run
 
 TABLES: dict[str, tuple[str, str]] = {
@@ -44,6 +45,9 @@ TABLES: dict[str, tuple[str, str]] = {
     ),
 }
 """Title and remark of each table, in the order of the report."""
+
+
+FIGURES: tuple[str, ...] = ("figure4.svg", "figure8.svg")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -96,8 +100,19 @@ def summed_up(runs: Sequence[Run], paper: dict[tuple[str, str], str]) -> dict:
     return tables
 
 
+def report_files(folder: Path, n_photos: int = 2) -> list[Path]:
+    """The files that `write_report` will write, the report first."""
+    photos = [f"photo{k}.jpg" for k in range(1, n_photos + 1)]
+    names = ["report.html", "report.md", "results.json", *FIGURES, *photos]
+    return [folder / name for name in names]
+
+
 def write_report(
-    folder: Path, setup: Setup, runs: Sequence[Run], paper: dict[tuple[str, str], str]
+    folder: Path,
+    setup: Setup,
+    runs: Sequence[Run],
+    paper: dict[tuple[str, str], str],
+    overwrite: bool = False,
 ) -> list[Path]:
     """Writes report.md, report.html, results.json and the figures; returns the files.
 
@@ -106,33 +121,31 @@ def write_report(
         setup: What the runs have in common.
         runs: All runs of all methods.
         paper: Table and method to what the paper says of it.
+        overwrite: Whether files without photoreg's mark may be replaced.
 
     Raises:
         InputError: if matplotlib is not installed.
-        OutputError: if a file cannot be written.
+        OutputError: if a file cannot be written, or another is there.
     """
     table_1 = [run for run in runs if run.table == "population"]
-    figures = {
-        "figure4.svg": draw_error_of_each_run(table_1),
-        "figure8.svg": draw_cost_against_error(table_1),
-    }
+    drawings = (draw_error_of_each_run(table_1), draw_cost_against_error(table_1))
+    figures = dict(zip(FIGURES, drawings, strict=True))
     tables = summed_up(runs, paper)
-    pictures = {f"photo{k}.jpg": data for k, (_, data) in enumerate(setup.pictures, 1)}
-    files: dict[str, bytes] = {
-        **{name: svg.encode() for name, svg in figures.items()},
+    names = [path.name for path in report_files(folder, len(setup.pictures))]
+    encoded = [marked_picture(data) for _, data in setup.pictures]
+    pictures = dict(zip(names[-len(encoded) :], encoded, strict=True))
+    mark = f"<!-- {COMMENT} -->\n"
+    contents = {
+        "report.html": _html(setup, runs, tables, pictures, figures),
+        "report.md": mark + _markdown(setup, runs, tables, list(pictures)),
+        "results.json": _json(setup, runs, tables),
+        **{name: mark + svg for name, svg in figures.items()},
         **pictures,
-        "report.md": _markdown(setup, runs, tables, list(pictures)).encode(),
-        "report.html": _html(setup, runs, tables, pictures, figures).encode(),
-        "results.json": _json(setup, runs, tables).encode(),
     }
-    try:
-        for name, data in files.items():
-            (folder / name).write_bytes(data)
-    except OSError as error:
-        raise OutputError(
-            f"Cannot write the report to {folder}: {error.strerror or error}."
-        ) from error
-    return [folder / name for name in files]
+    return write_files(
+        {folder / name: content for name, content in contents.items()},
+        overwrite=overwrite,
+    )
 
 
 def correlations(runs: Sequence[Run]) -> tuple[float, float]:
@@ -292,7 +305,8 @@ def _html(
             ]
     body = "\n".join(parts)
     return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        f"<!doctype html>\n<!-- {COMMENT} -->\n"
+        '<html lang="en"><head><meta charset="utf-8">'
         "<title>The paper's experiment, reproduced</title>"
         f"<style>{STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
     )
@@ -312,6 +326,7 @@ def _json(setup: Setup, runs: Sequence[Run], tables: dict) -> str:
     common["pictures"] = [name for name, _ in setup.pictures]
     ends, ways = correlations([run for run in runs if run.table == "population"])
     figures = {
+        "format": "photoreg-results",
         "setup": common,
         "correlation": {"ends": ends, "ways": ways},
         "tables": {

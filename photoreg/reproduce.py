@@ -9,8 +9,9 @@ import cv2
 from photoreg.alignment import PolishConfig
 from photoreg.errors import InputError, OutputError
 from photoreg.experiment import Method, Run, count, methods, runs
+from photoreg.formats.writing import check_outputs
 from photoreg.registration import RegistrationConfig
-from photoreg.report import Setup, write_report
+from photoreg.report import Setup, report_files, write_report
 from photoreg.report_plots import check_plots
 from photoreg.scene_options import SceneOptions
 from photoreg.synthetic import Scene, make_scene
@@ -48,6 +49,7 @@ def reproduce(
     generations: int = 100,
     scene: Scene | None = None,
     polish: PolishConfig | None = None,
+    overwrite: bool = False,
 ) -> Iterator[Step | Reproduced]:
     """Makes the paper's experiment and writes a report; yields after each run.
 
@@ -62,17 +64,19 @@ def reproduce(
         generations: Generations of each of the 5 restarts.
         scene: Another scene than the Shell.
         polish: Other settings of our polish.
+        overwrite: Whether files in ``out_dir`` without photoreg's mark may be replaced.
 
     Raises:
         InputError: if ``n_runs`` is not positive or matplotlib is not installed.
-        OutputError: if ``out_dir`` cannot be written.
+        OutputError: if ``out_dir`` cannot be written, or other files are there.
     """
     if n_runs < 1:
         raise InputError(f"runs is {n_runs}; give at least 1.")
     check_plots()
-    folder = _writable(Path(out_dir))
+    n_photos = 2 if scene is None else len(scene.photos)
+    folder = _writable(Path(out_dir), n_photos, overwrite)
     rows = methods(populations, generations, polish)
-    return _steps(folder, rows, n_runs, seed, generations, scene)
+    return _steps(folder, rows, n_runs, seed, generations, scene, overwrite)
 
 
 def _steps(
@@ -82,6 +86,7 @@ def _steps(
     seed: int,
     generations: int,
     scene: Scene | None,
+    overwrite: bool,
 ) -> Iterator[Step | Reproduced]:
     yield Step("Drawing the Shell.", 0.0)
     if scene is None:
@@ -108,11 +113,11 @@ def _steps(
         tuple((photo.name, _jpeg(photo.pixels)) for photo in scene.photos),
     )
     said = {(row.table, row.name): row.paper for row in rows}
-    paths = write_report(folder, setup, done, said)
+    paths = write_report(folder, setup, done, said, overwrite)
     yield Reproduced(tuple(paths), tuple(done))
 
 
-def _writable(folder: Path) -> Path:
+def _writable(folder: Path, n_photos: int, overwrite: bool) -> Path:
     """Makes the folder and tries to write in it, before the first run.
 
     Raises:
@@ -120,13 +125,11 @@ def _writable(folder: Path) -> Path:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        trial = folder / ".writable"
-        trial.touch()
-        trial.unlink()
     except OSError as error:
         raise OutputError(
             f"Cannot write the report to {folder}: {error.strerror or error}."
         ) from error
+    check_outputs(report_files(folder, n_photos), overwrite=overwrite)
     return folder
 
 

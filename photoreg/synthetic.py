@@ -9,7 +9,10 @@ from jaxtyping import Float, UInt8
 
 from photoreg.camera import Camera
 from photoreg.errors import OutputError
-from photoreg.formats.cameras_json import CameraFile, save_cameras
+from photoreg.formats.cameras_json import CameraFile, dump_cameras
+from photoreg.formats.mark import marked_picture
+from photoreg.formats.ply import ply_bytes
+from photoreg.formats.writing import Content, write_files
 from photoreg.mesh import Mesh
 from photoreg.noise import SolidNoise
 from photoreg.photo import Photo
@@ -109,32 +112,37 @@ def demo_scene() -> Scene:
     return make_scene(SceneOptions(kind="shell", seed=0))
 
 
-def write_scene(scene: Scene, folder: Path | str) -> list[Path]:
+def write_scene(
+    scene: Scene, folder: Path | str, overwrite: bool = False
+) -> list[Path]:
     """Writes mesh, photos, cameras.json (truth) and rough.json; returns the files.
 
     The folder is made if it does not exist.
 
+    Args:
+        scene: The scene.
+        folder: Where to.
+        overwrite: Whether files without photoreg's mark may be replaced.
+
     Raises:
-        OutputError: if the folder cannot be made or written.
+        OutputError: if the folder cannot be made or written, or other files are there.
     """
     folder = Path(folder)
-    mesh_path = folder / scene.mesh.name
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        scene.mesh.save(mesh_path)
-        written = [mesh_path]
-        for name, data in scene.encoded.items():
-            (folder / name).write_bytes(data)
-            written.append(folder / name)
     except OSError as error:
         raise OutputError(
             f"Cannot write the scene to {folder}: {error.strerror or error}."
         ) from error
+    contents: dict[Path, Content] = {folder / scene.mesh.name: ply_bytes(scene.mesh)}
+    for name, data in scene.encoded.items():
+        contents[folder / name] = marked_picture(data)
     names = [photo.name for photo in scene.photos]
-    truth, rough = folder / "cameras.json", folder / "rough.json"
-    for path, cameras in ((truth, scene.cameras), (rough, scene.rough_cameras)):
-        save_cameras(path, CameraFile(dict(zip(names, cameras, strict=True))))
-    return [*written, truth, rough]
+    sets = {"cameras.json": scene.cameras, "rough.json": scene.rough_cameras}
+    for name, cameras in sets.items():
+        file = CameraFile(dict(zip(names, cameras, strict=True)))
+        contents[folder / name] = dump_cameras(file)
+    return write_files(contents, overwrite=overwrite)
 
 
 def _shades(

@@ -17,6 +17,7 @@ from PIL import Image
 from photoreg.cli import commands, run
 from photoreg.evaluate import projection_error
 from photoreg.formats.cameras_json import CameraFile, load_cameras, save_cameras
+from photoreg.formats.ply import save_mesh
 from photoreg.mesh import load_mesh
 from tests.scenes import small_scene
 
@@ -25,7 +26,7 @@ from tests.scenes import small_scene
 def folder(tmp_path_factory) -> Path:
     """A small scene as files; a test that spoils one makes its own copy."""
     scene, folder = small_scene(), tmp_path_factory.mktemp("scene")
-    scene.mesh.save(folder / "mesh.ply")
+    save_mesh(folder / "mesh.ply", scene.mesh)
     names = [photo.name for photo in scene.photos]
     for photo in scene.photos:
         Image.fromarray(photo.pixels).save(folder / photo.name)

@@ -10,6 +10,7 @@ from PIL import Image
 from photoreg.cli import run
 from photoreg.formats.camera_set import CameraSet
 from photoreg.formats.cameras import CAMERA_FORMATS, read_cameras, write_cameras
+from photoreg.formats.ply import save_mesh
 from tests.camera_files import NAMES, camera_set, largest_error_px
 from tests.painted import ball_and_moon, cameras_around, photograph
 
@@ -63,7 +64,7 @@ def test_what_is_lost_is_said(folder, capsys):
 def test_a_meshlab_project_names_mesh_and_photos_from_where_it_lies(folder, capsys):
     (folder / "out").mkdir()
     mesh = folder / "a mesh.ply"
-    ball_and_moon(1).save(mesh)
+    save_mesh(mesh, ball_and_moon(1))
     out = folder / "out" / "project.mlp"
     words = ["--mesh", str(mesh), "--photos", *(str(folder / n) for n in NAMES)]
     assert convert(folder, "--out", str(out), *words) == 0
@@ -112,7 +113,7 @@ def test_texture_writes_what_the_suffix_says_from_cameras_of_any_format(
     tmp_path, capsys, name, options, n_files
 ):
     mesh, cameras = ball_and_moon(1), cameras_around(2, 160, 120)
-    mesh.save(tmp_path / "mesh.ply")
+    save_mesh(tmp_path / "mesh.ply", mesh)
     paths = {}
     for i, camera in enumerate(cameras):
         paths[f"{i}.png"] = tmp_path / f"{i}.png"

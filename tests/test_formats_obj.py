@@ -1,6 +1,7 @@
 """Textured OBJ, read back by trimesh: another program's idea of the format."""
 
 import io
+import os
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -115,14 +116,15 @@ def test_a_place_that_cannot_be_written_is_refused_and_nothing_is_left(
 def test_a_failure_half_way_leaves_the_old_files(tmp_path, textured, monkeypatch):
     old = save_textured_obj(tmp_path / "model.obj", textured)
     before = [path.read_bytes() for path in old]
-    write = Path.write_bytes
+    sync, synced = os.fsync, []
 
-    def full_disk(self, content):
-        if self.name == "model.png.part":
+    def full_disk(descriptor):
+        synced.append(descriptor)
+        if len(synced) == 3:
             raise OSError(28, "No space left on device")
-        return write(self, content)
+        sync(descriptor)
 
-    monkeypatch.setattr(Path, "write_bytes", full_disk)
+    monkeypatch.setattr(os, "fsync", full_disk)
     with pytest.raises(OutputError, match="No space left"):
         save_textured_obj(tmp_path / "model.obj", textured)
     assert sorted(tmp_path.iterdir()) == sorted(old)

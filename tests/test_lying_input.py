@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import ExifTags, Image
 
 from app.warm_up import toy_scene
@@ -103,7 +104,7 @@ def two_million_faces(path: Path) -> None:
     faces = np.vstack(
         [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([b, d, c], -1).reshape(-1, 3)]
     )
-    Mesh(vertices, faces).save(path)
+    trimesh.Trimesh(vertices, faces, process=False, validate=False).export(path)
 
 
 def slopes(dtype: type[np.generic]) -> np.ndarray:

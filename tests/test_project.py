@@ -17,6 +17,7 @@ from app.warm_up import toy_scene
 from photoreg import project_schema
 from photoreg.camera import Camera
 from photoreg.errors import InputError, OutputError
+from photoreg.formats.ply import save_mesh
 from photoreg.mesh import load_mesh
 from photoreg.photo import load_photo
 from photoreg.project import DATABASE, Project, Step
@@ -37,7 +38,7 @@ def files(tmp_path) -> Path:
     folder = tmp_path / "my files"
     folder.mkdir()
     mesh, photos, _ = toy_scene()
-    mesh.save(folder / "rock.ply")
+    save_mesh(folder / "rock.ply", mesh)
     for photo in photos:
         cv2.imwrite(str(folder / photo.name), photo.pixels[:, :, ::-1])
     return folder

@@ -18,7 +18,8 @@ from photoreg.formats.writing import write_files
 
 SENSOR_MM = 36.0
 
-_SCRIPT = '''"""Cameras with their photos behind them, made by photoreg.
+_SCRIPT = '''# made by photoreg
+"""Cameras with their photos behind them.
 
 Open this in Blender's text editor and run it, or: blender --python {file}
 """
@@ -95,7 +96,7 @@ for entry in CAMERAS:
 '''
 
 
-def save_blender(path: Path, cameras: CameraSet) -> Saved:
+def save_blender(path: Path, cameras: CameraSet, overwrite: bool = False) -> Saved:
     """Writes the script; photos are looked for where they lie, from the script's folder.
 
     Raises:
@@ -113,7 +114,8 @@ def save_blender(path: Path, cameras: CameraSet) -> Saved:
     script = _SCRIPT.replace("{file}", path.name.replace('"', "")).replace(
         "{sensor}", repr(SENSOR_MM)
     )
-    return Saved(write_files({path: script.replace("{cameras}", text)}), losses)
+    contents = {path: script.replace("{cameras}", text)}
+    return Saved(write_files(contents, cameras.files, overwrite), losses)
 
 
 def _entry(name: str, where: str, camera: Camera) -> dict[str, Any]:

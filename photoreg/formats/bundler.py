@@ -43,8 +43,10 @@ def list_path(path: Path) -> Path:
     return path.with_name(f"{path.stem}.list.txt")
 
 
-def save_bundler(path: Path, cameras: CameraSet) -> Saved:
+def save_bundler(path: Path, cameras: CameraSet, overwrite: bool = False) -> Saved:
     """Writes the bundle file, without points, and the list of photos.
+
+    Neither has a place for a mark.
 
     Raises:
         OutputError: if they cannot be written there.
@@ -64,10 +66,8 @@ def save_bundler(path: Path, cameras: CameraSet) -> Saved:
         photo = cameras.photos.get(name)
         names.append((path_from(path.parent, photo) if photo else name) + "\n")
     head = f"# Bundle file v0.3\n{len(cameras.cameras)} 0\n"
-    return Saved(
-        write_files({path: head + "".join(lines), list_path(path): "".join(names)}),
-        losses,
-    )
+    contents = {path: head + "".join(lines), list_path(path): "".join(names)}
+    return Saved(write_files(contents, cameras.files, overwrite), losses)
 
 
 def load_bundler(path: Path, photos: Mapping[str, Path]) -> dict[str, Camera]:

@@ -39,6 +39,11 @@ class CameraSet:
                     "plain file name."
                 )
 
+    @property
+    def files(self) -> list[Path]:
+        """The files that the cameras are about, which stay as they are."""
+        return [*self.photos.values(), *([] if self.mesh is None else [self.mesh])]
+
 
 @dataclasses.dataclass(frozen=True)
 class Saved:

@@ -52,8 +52,8 @@ class CameraFormat:
     """What it holds, in one sentence."""
     loses: str
     """What it cannot hold, in one sentence."""
-    save: Callable[[Path, CameraSet], Saved]
-    """Writes cameras to a path."""
+    save: Callable[[Path, CameraSet, bool], Saved]
+    """Writes cameras to a path, over files that are not photoreg's or not."""
     load: Callable[[Path, Mapping[str, Path]], Mapping[str, Camera]] | None
     """Reads cameras from a path, given photos by name; None: it is written only."""
     is_beside_photos: bool = True
@@ -65,8 +65,8 @@ class CameraFormat:
         return self.place == "folder"
 
 
-def _save_photoreg(path: Path, cameras: CameraSet) -> Saved:
-    save_cameras(path, CameraFile(cameras.cameras))
+def _save_photoreg(path: Path, cameras: CameraSet, overwrite: bool = False) -> Saved:
+    save_cameras(path, CameraFile(cameras.cameras), overwrite)
     return Saved([path])
 
 
@@ -284,7 +284,10 @@ def read_cameras(
 
 
 def write_cameras(
-    path: Path | str, cameras: CameraSet, name: str | None = None
+    path: Path | str,
+    cameras: CameraSet,
+    name: str | None = None,
+    overwrite: bool = False,
 ) -> Saved:
     """Writes cameras in any format.
 
@@ -292,17 +295,18 @@ def write_cameras(
         path: A file, or a folder for COLMAP and texrecon.
         cameras: The cameras, and the photos and the mesh as far as known.
         name: The format; None: by the path.
+        overwrite: Whether files without photoreg's mark may be replaced.
 
     Returns:
         The files, and a sentence for each thing that these cameras lose.
 
     Raises:
         InputError: if the format needs a photo that is not there.
-        OutputError: if the files cannot be written there.
+        OutputError: if the files cannot be written there, or others are there.
     """
     path = Path(path)
     chosen = format_to_write(path) if name is None else camera_format(name)
-    saved = chosen.save(path, cameras)
+    saved = chosen.save(path, cameras, overwrite)
     written = {n: p for n, p in cameras.photos.items() if n in cameras.cameras}
     saved.losses.extend(lost_turns(chosen.name, written))
     return saved

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from photoreg.camera import Camera
-from photoreg.checks import check_output_file
-from photoreg.errors import InputError, OutputError
+from photoreg.errors import InputError
 from photoreg.formats.camera_set import photo_name
 from photoreg.formats.parsing import read_json
+from photoreg.formats.writing import check_suffix, write_files
 from photoreg.photo import Photo
 
 FORMAT = "photoreg-cameras"
@@ -147,17 +147,16 @@ def dump_cameras(file: CameraFile) -> str:
     return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
 
 
-def save_cameras(path: Path | str, file: CameraFile) -> None:
+def save_cameras(path: Path | str, file: CameraFile, overwrite: bool = False) -> None:
     """Writes a photoreg camera file, whole or not at all.
 
+    Args:
+        path: Where it goes (.json).
+        file: The cameras.
+        overwrite: Whether a file that is no photoreg camera file may be replaced.
+
     Raises:
-        OutputError: if it cannot be written there.
+        OutputError: if it cannot be written there, or another file is there.
     """
-    path = check_output_file(Path(path), (".json",))
-    partial = path.with_name(path.name + ".part")
-    try:
-        partial.write_text(dump_cameras(file), encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise OutputError(f"Cannot write {path}: {error.strerror or error}.") from error
+    path = check_suffix(path, (".json",))
+    write_files({path: dump_cameras(file)}, overwrite=overwrite)

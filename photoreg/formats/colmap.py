@@ -29,6 +29,7 @@ from photoreg.formats.camera_set import (
     intrinsics,
     without,
 )
+from photoreg.formats.mark import COMMENT
 from photoreg.formats.parsing import (
     camera_of,
     numbers,
@@ -93,16 +94,17 @@ def model_folder(folder: Path, suffix: str) -> Path | None:
     return None
 
 
-def save_colmap_text(folder: Path, cameras: CameraSet) -> Saved:
+def save_colmap_text(
+    folder: Path, cameras: CameraSet, overwrite: bool = False
+) -> Saved:
     """Writes cameras.txt, images.txt and an empty points3D.txt.
 
     Raises:
         OutputError: if they cannot be written there.
     """
-    lenses = ["# Camera list with one line of data per camera:\n"]
-    lenses.append("#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n")
-    images = ["# Image list with two lines of data per image:\n"]
-    images.append("#   IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n")
+    mark = f"# {COMMENT}\n"
+    lenses = [mark, "#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n"]
+    images = [mark, "#   IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n"]
     images.append("#   POINTS2D[] as (X, Y, POINT3D_ID)\n")
     losses = []
     for i, (name, camera) in enumerate(cameras.cameras.items(), start=1):
@@ -123,14 +125,20 @@ def save_colmap_text(folder: Path, cameras: CameraSet) -> Saved:
             folder / "images.txt": "".join(images),
             folder / "cameras.txt": "".join(lenses),
             folder
-            / "points3D.txt": "# 3D point list: empty, the mesh is the surface\n",
-        }
+            / "points3D.txt": f"{mark}# 3D point list: empty, the mesh is the surface\n",
+        },
+        cameras.files,
+        overwrite,
     )
     return Saved(files, losses)
 
 
-def save_colmap_binary(folder: Path, cameras: CameraSet) -> Saved:
+def save_colmap_binary(
+    folder: Path, cameras: CameraSet, overwrite: bool = False
+) -> Saved:
     """Writes cameras.bin, images.bin and a points3D.bin without points.
+
+    The format has no place for a mark.
 
     Raises:
         OutputError: if they cannot be written there.
@@ -151,7 +159,9 @@ def save_colmap_binary(folder: Path, cameras: CameraSet) -> Saved:
             folder / "images.bin": b"".join(images),
             folder / "cameras.bin": b"".join(lenses),
             folder / "points3D.bin": struct.pack("<Q", 0),
-        }
+        },
+        cameras.files,
+        overwrite,
     )
     return Saved(files, losses)
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 import trimesh
@@ -10,10 +10,10 @@ import trimesh.visual
 from trimesh.exchange.gltf import export_glb
 from trimesh.visual.material import PBRMaterial
 
-from photoreg.checks import check_output_file
+from photoreg.formats.mark import GENERATOR
 from photoreg.formats.pictures import PictureKind, encode_picture
-from photoreg.formats.seams import split_at_seams
-from photoreg.formats.writing import write_files
+from photoreg.formats.seams import source_files, split_at_seams
+from photoreg.formats.writing import check_suffix, write_files
 from photoreg.texture import TexturedMesh
 
 FAR_OFF = 16.0
@@ -34,7 +34,10 @@ class _EncodedPicture:
 
 
 def save_textured_glb(
-    path: Path | str, textured: TexturedMesh, picture: PictureKind = "png"
+    path: Path | str,
+    textured: TexturedMesh,
+    picture: PictureKind = "png",
+    overwrite: bool = False,
 ) -> list[Path]:
     """Writes the model as one file.
 
@@ -46,6 +49,7 @@ def save_textured_glb(
         path: Where it goes (.glb).
         textured: What `bake_texture` returned.
         picture: How the texture is embedded; JPEG is several times smaller.
+        overwrite: Whether a file without photoreg's mark may be replaced.
 
     Returns:
         The file.
@@ -53,8 +57,9 @@ def save_textured_glb(
     Raises:
         OutputError: if it cannot be written there.
     """
-    path = check_output_file(Path(path), (".glb",))
-    return write_files({path: textured_glb(textured, picture)})
+    path = check_suffix(path, (".glb",))
+    contents = {path: textured_glb(textured, picture)}
+    return write_files(contents, source_files(textured), overwrite)
 
 
 def textured_glb(textured: TexturedMesh, picture: PictureKind = "png") -> bytes:
@@ -76,7 +81,11 @@ def textured_glb(textured: TexturedMesh, picture: PictureKind = "png") -> bytes:
     move[:3, 3] = middle
     scene = trimesh.Scene()
     scene.add_geometry(model, node_name="model", geom_name="model", transform=move)
-    return export_glb(scene, include_normals=True)
+    return export_glb(scene, include_normals=True, tree_postprocessor=_signed)
+
+
+def _signed(document: dict[str, Any]) -> None:
+    document["asset"]["generator"] = GENERATOR
 
 
 def _material(textured: TexturedMesh, picture: PictureKind) -> PBRMaterial:

@@ -12,7 +12,7 @@ its measures stand in the copy's name, the photo's own name in the label.
 import functools
 import io
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -33,6 +33,7 @@ from photoreg.formats.camera_set import (
     photo_name,
     without,
 )
+from photoreg.formats.mark import COMMENT, marked_picture
 from photoreg.formats.parsing import (
     camera_of,
     numbers,
@@ -41,7 +42,7 @@ from photoreg.formats.parsing import (
     size_px,
 )
 from photoreg.formats.photo_files import displayed_size, is_turned, path_from
-from photoreg.formats.writing import write_files
+from photoreg.formats.writing import Content, write_files
 from photoreg.limits import Limits
 from photoreg.photo import load_photo
 
@@ -53,7 +54,7 @@ PADDED = re.compile(
 )
 
 
-def save_meshlab(path: Path, cameras: CameraSet) -> Saved:
+def save_meshlab(path: Path, cameras: CameraSet, overwrite: bool = False) -> Saved:
     """Writes the project, and a padded copy of each photo that needs one.
 
     Raises:
@@ -73,7 +74,7 @@ def save_meshlab(path: Path, cameras: CameraSet) -> Saved:
         matrix = ElementTree.SubElement(mesh, "MLMatrix44")
         matrix.text = _rows(np.eye(4))
     rasters = ElementTree.SubElement(document, "RasterGroup")
-    contents: dict[Path, bytes | str | Callable[[], bytes]] = {path: ""}
+    contents: dict[Path, Content] = {path: ""}
     losses = []
     for name, camera in cameras.cameras.items():
         camera, lost = without(name, camera, "MeshLab", "skew")
@@ -108,8 +109,8 @@ def save_meshlab(path: Path, cameras: CameraSet) -> Saved:
         ElementTree.SubElement(raster, "Plane", semantic="1", fileName=file)
     ElementTree.indent(document, " ")
     text = ElementTree.tostring(document, encoding="unicode")
-    contents[path] = f"<!DOCTYPE MeshLabDocument>\n{text}\n"
-    return Saved(write_files(contents), losses)
+    contents[path] = f"<!DOCTYPE MeshLabDocument>\n<!-- {COMMENT} -->\n{text}\n"
+    return Saved(write_files(contents, cameras.files, overwrite), losses)
 
 
 def centred(camera: Camera) -> tuple[Camera, tuple[int, int]]:
@@ -175,7 +176,7 @@ def _padded_png(path: Path, padded: Camera, corner: tuple[int, int]) -> bytes:
     inside[:, :, 3] = 255 if photo.mask is None else np.where(photo.mask, 255, 0)
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, "PNG", compress_level=3)
-    return buffer.getvalue()
+    return marked_picture(buffer.getvalue())
 
 
 def _vcg_camera(camera: Camera) -> ElementTree.Element:

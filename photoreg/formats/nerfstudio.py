@@ -27,6 +27,7 @@ from photoreg.formats.camera_set import (
     photo_name,
     without,
 )
+from photoreg.formats.mark import GENERATOR
 from photoreg.formats.parsing import (
     camera_of,
     finite,
@@ -48,7 +49,7 @@ PERSPECTIVE = (
 )
 
 
-def save_nerfstudio(path: Path, cameras: CameraSet) -> Saved:
+def save_nerfstudio(path: Path, cameras: CameraSet, overwrite: bool = False) -> Saved:
     """Writes transforms.json, with the size and the lens in each frame.
 
     Raises:
@@ -74,9 +75,9 @@ def save_nerfstudio(path: Path, cameras: CameraSet) -> Saved:
                 "transform_matrix": pose.tolist(),
             }
         )
-    document = {"camera_model": "PINHOLE", "frames": frames}
+    document = {"generator": GENERATOR, "camera_model": "PINHOLE", "frames": frames}
     text = json.dumps(document, indent=1, ensure_ascii=False) + "\n"
-    return Saved(write_files({path: text}), losses)
+    return Saved(write_files({path: text}, cameras.files, overwrite), losses)
 
 
 def load_nerfstudio(path: Path, photos: Mapping[str, Path]) -> dict[str, Camera]:

@@ -5,14 +5,18 @@ from pathlib import Path
 
 import numpy as np
 
-from photoreg.checks import check_output_file
+from photoreg.formats.mark import COMMENT
 from photoreg.formats.pictures import PICTURE_SUFFIX, PictureKind, encode_picture
-from photoreg.formats.writing import write_files
+from photoreg.formats.seams import source_files
+from photoreg.formats.writing import check_suffix, write_files
 from photoreg.texture import TexturedMesh
 
 
 def save_textured_obj(
-    path: Path | str, textured: TexturedMesh, picture: PictureKind = "png"
+    path: Path | str,
+    textured: TexturedMesh,
+    picture: PictureKind = "png",
+    overwrite: bool = False,
 ) -> list[Path]:
     """Writes OBJ, MTL and picture, all of them or none.
 
@@ -21,9 +25,10 @@ def save_textured_obj(
     space as an underscore: readers differ in how they take a name with spaces.
 
     Args:
-        path: Where the OBJ goes; files of the same names are replaced.
+        path: Where the OBJ goes.
         textured: What `bake_texture` returned.
         picture: How the texture is written; JPEG is several times smaller.
+        overwrite: Whether files without photoreg's mark may be replaced.
 
     Returns:
         The three files written: OBJ, MTL, picture.
@@ -31,28 +36,20 @@ def save_textured_obj(
     Raises:
         OutputError: if they cannot be written there.
     """
-    path = check_output_file(Path(path), (".obj",))
-    names = _file_names(path.stem, picture)
-    targets = [path, path.with_name(names[1]), path.with_name(names[2])]
-    contents = _file_contents(path.stem, textured, picture)
-    return write_files(dict(zip(targets, contents, strict=True)))
+    obj, mtl, image = obj_files(check_suffix(path, (".obj",)), picture)
+    contents = {
+        obj: _obj_bytes(textured, mtl.name),
+        mtl: _mtl_bytes(image.name),
+        image: encode_picture(textured.texture, picture),
+    }
+    return write_files(contents, source_files(textured), overwrite)
 
 
-def _file_names(stem: str, picture: PictureKind) -> tuple[str, str, str]:
-    safe = _safe_name(stem)
-    return f"{stem}.obj", f"{safe}.mtl", f"{safe}{PICTURE_SUFFIX[picture]}"
-
-
-def _safe_name(stem: str) -> str:
-    return re.sub(r"\s", "_", stem)
-
-
-def _file_contents(
-    stem: str, textured: TexturedMesh, picture: PictureKind
-) -> tuple[bytes, bytes, bytes]:
-    _, mtl, image = _file_names(stem, picture)
-    encoded = encode_picture(textured.texture, picture)
-    return _obj_bytes(textured, mtl), _mtl_bytes(image), encoded
+def obj_files(path: Path, picture: PictureKind) -> list[Path]:
+    """The files that `save_textured_obj` writes: OBJ, MTL, picture."""
+    safe = re.sub(r"\s", "_", path.stem)
+    suffixes = (".mtl", PICTURE_SUFFIX[picture])
+    return [path, *(path.with_name(safe + suffix) for suffix in suffixes)]
 
 
 def _obj_bytes(textured: TexturedMesh, mtl_name: str) -> bytes:
@@ -60,7 +57,7 @@ def _obj_bytes(textured: TexturedMesh, mtl_name: str) -> bytes:
     corners = np.stack([mesh.faces, atlas.uv_faces, mesh.faces], axis=2) + 1
     return b"".join(
         [
-            b"# photoreg\n",
+            f"# {COMMENT}\n".encode(),
             f"mtllib {mtl_name}\n".encode(),
             # repr() is the shortest text that reads back as the same number.
             _rows("v {!r} {!r} {!r}\n", mesh.vertices),
@@ -84,7 +81,7 @@ def _rows(template: str, rows: np.ndarray) -> bytes:
 def _mtl_bytes(picture_name: str) -> bytes:
     # Ambient and diffuse white and no highlight: viewers show the texture as it is.
     return (
-        "# photoreg\n"
+        f"# {COMMENT}\n"
         "newmtl textured\n"
         "Ka 1.0 1.0 1.0\n"
         "Kd 1.0 1.0 1.0\n"

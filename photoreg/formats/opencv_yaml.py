@@ -16,6 +16,7 @@ import yaml
 from photoreg.camera import Camera
 from photoreg.errors import InputError
 from photoreg.formats.camera_set import CameraSet, Saved, cameras_by_name
+from photoreg.formats.mark import COMMENT
 from photoreg.formats.parsing import (
     camera_of,
     numbers,
@@ -31,13 +32,14 @@ LOADER = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
 """Takes every number and name as text, and heeds no tag; libyaml's is ten times faster."""
 
 
-def save_opencv(path: Path, cameras: CameraSet) -> Saved:
+def save_opencv(path: Path, cameras: CameraSet, overwrite: bool = False) -> Saved:
     """Writes YAML that `cv2.FileStorage` reads.
 
     Raises:
         OutputError: if it cannot be written there.
     """
     storage = cv2.FileStorage(".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    storage.writeComment(COMMENT)
     storage.startWriteStruct("cameras", cv2.FILE_NODE_SEQ)
     for name, camera in cameras.cameras.items():
         storage.startWriteStruct("", cv2.FILE_NODE_MAP)
@@ -50,7 +52,8 @@ def save_opencv(path: Path, cameras: CameraSet) -> Saved:
         storage.write("P", camera.P)
         storage.endWriteStruct()
     storage.endWriteStruct()
-    return Saved(write_files({path: storage.releaseAndGetString()}))
+    contents = {path: storage.releaseAndGetString()}
+    return Saved(write_files(contents, cameras.files, overwrite))
 
 
 def load_opencv(path: Path) -> dict[str, Camera]:

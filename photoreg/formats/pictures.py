@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from photoreg.errors import OutputError
+from photoreg.formats.mark import marked_picture
 
 PictureKind = Literal["png", "jpeg"]
 JPEG_QUALITY = 95
@@ -36,4 +37,4 @@ def encode_picture(
     )
     if not ok:
         raise OutputError(f"The texture could not be encoded as {kind.upper()}.")
-    return encoded.tobytes()
+    return marked_picture(encoded.tobytes())

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from photoreg.checks import check_output_file
+from photoreg.formats.mark import COMMENT
 from photoreg.formats.pictures import PICTURE_SUFFIX, PictureKind, encode_picture
-from photoreg.formats.seams import vertex_colours
-from photoreg.formats.writing import write_files
+from photoreg.formats.seams import source_files, vertex_colours
+from photoreg.formats.writing import check_suffix, write_files
+from photoreg.mesh import Mesh
 from photoreg.texture import TexturedMesh
 
 _POINT = [(axis, "<f8") for axis in "xyz"] + [(f"n{axis}", "<f4") for axis in "xyz"]
@@ -23,7 +24,10 @@ _CORNERS = [("n_uv", "u1"), ("texcoord", "<f4", 6)]
 
 
 def save_textured_ply(
-    path: Path | str, textured: TexturedMesh, picture: PictureKind = "png"
+    path: Path | str,
+    textured: TexturedMesh,
+    picture: PictureKind = "png",
+    overwrite: bool = False,
 ) -> list[Path]:
     """Writes PLY and picture, which is named after the PLY, spaces as underscores.
 
@@ -31,6 +35,7 @@ def save_textured_ply(
         path: Where the PLY goes.
         textured: What `bake_texture` returned.
         picture: How the texture is written; JPEG is several times smaller.
+        overwrite: Whether files without photoreg's mark may be replaced.
 
     Returns:
         The two files.
@@ -38,9 +43,7 @@ def save_textured_ply(
     Raises:
         OutputError: if they cannot be written there.
     """
-    path = check_output_file(Path(path), (".ply",))
-    safe = re.sub(r"\s", "_", path.stem)
-    image = path.with_name(safe + PICTURE_SUFFIX[picture])
+    path, image = ply_files(check_suffix(path, (".ply",)), picture)
     vertices = _vertices(textured, _POINT)
     faces = np.zeros(len(textured.faces), dtype=np.dtype(_FACE + _CORNERS))
     faces["n"], faces["vertex_indices"] = 3, textured.faces
@@ -50,16 +53,27 @@ def save_textured_ply(
         {
             path: header + vertices.tobytes() + faces.tobytes(),
             image: encode_picture(textured.texture, picture),
-        }
+        },
+        source_files(textured),
+        overwrite,
     )
 
 
-def save_coloured_ply(path: Path | str, textured: TexturedMesh) -> list[Path]:
+def ply_files(path: Path, picture: PictureKind) -> list[Path]:
+    """The files that `save_textured_ply` writes: PLY, picture."""
+    safe = re.sub(r"\s", "_", path.stem)
+    return [path, path.with_name(safe + PICTURE_SUFFIX[picture])]
+
+
+def save_coloured_ply(
+    path: Path | str, textured: TexturedMesh, overwrite: bool = False
+) -> list[Path]:
     """Writes PLY with the texture's colour at each vertex.
 
     Args:
         path: Where it goes.
         textured: What `bake_texture` returned.
+        overwrite: Whether a file without photoreg's mark may be replaced.
 
     Returns:
         The file.
@@ -67,15 +81,45 @@ def save_coloured_ply(path: Path | str, textured: TexturedMesh) -> list[Path]:
     Raises:
         OutputError: if it cannot be written there.
     """
-    path = check_output_file(Path(path), (".ply",))
+    path = check_suffix(path, (".ply",))
     vertices = _vertices(textured, _POINT + _COLOUR)
     colours = vertex_colours(textured)
     for i, (channel, _) in enumerate(_COLOUR):
         vertices[channel] = colours[:, i]
     faces = np.zeros(len(textured.faces), dtype=np.dtype(_FACE))
     faces["n"], faces["vertex_indices"] = 3, textured.faces
-    header = _header(vertices, faces)
-    return write_files({path: header + vertices.tobytes() + faces.tobytes()})
+    contents = {path: _header(vertices, faces) + vertices.tobytes() + faces.tobytes()}
+    return write_files(contents, source_files(textured), overwrite)
+
+
+def save_mesh(path: Path | str, mesh: Mesh, overwrite: bool = False) -> list[Path]:
+    """Writes a mesh's vertices and faces, exactly, as PLY.
+
+    Args:
+        path: Where it goes (.ply).
+        mesh: The mesh.
+        overwrite: Whether a file without photoreg's mark may be replaced.
+
+    Returns:
+        The file.
+
+    Raises:
+        OutputError: if it cannot be written there, or another file is there.
+    """
+    path = check_suffix(path, (".ply",))
+    return write_files({path: ply_bytes(mesh)}, overwrite=overwrite)
+
+
+def ply_bytes(mesh: Mesh) -> bytes:
+    """The file of `save_mesh`."""
+    is_single = np.array_equal(mesh.vertices, mesh.vertices.astype(np.float32))
+    number = "<f4" if is_single else "<f8"
+    vertices = np.zeros(len(mesh.vertices), [(axis, number) for axis in "xyz"])
+    for i, axis in enumerate("xyz"):
+        vertices[axis] = mesh.vertices[:, i]
+    faces = np.zeros(len(mesh.faces), dtype=np.dtype(_FACE))
+    faces["n"], faces["vertex_indices"] = 3, mesh.faces
+    return _header(vertices, faces) + vertices.tobytes() + faces.tobytes()
 
 
 def _vertices(textured: TexturedMesh, fields: list[tuple[str, str]]) -> np.ndarray:
@@ -89,7 +133,7 @@ def _vertices(textured: TexturedMesh, fields: list[tuple[str, str]]) -> np.ndarr
 def _header(vertices: np.ndarray, faces: np.ndarray, comment: str = "") -> bytes:
     types = {"<f8": "double", "<f4": "float", "|u1": "uchar"}
     lines = [
-        "ply\nformat binary_little_endian 1.0\ncomment photoreg\n",
+        f"ply\nformat binary_little_endian 1.0\ncomment {COMMENT}\n",
         comment,
         f"element vertex {len(vertices)}\n",
         *(

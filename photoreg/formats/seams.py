@@ -1,5 +1,7 @@
 """A textured mesh with one texture coordinate a vertex: vertices doubled along seams."""
 
+from pathlib import Path
+
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
@@ -31,6 +33,12 @@ def split_at_seams(
     uv = np.zeros((len(vertex_index), 2))
     uv[position[rows]] = atlas.uv[rows]
     return vertex_index, uv, position[atlas.uv_faces].astype(np.int32)
+
+
+def source_files(textured: TexturedMesh) -> list[Path]:
+    """The file of the mesh that was textured, which stays as it is."""
+    source = textured.mesh.source
+    return [] if source is None else [source.path]
 
 
 def vertex_colours(textured: TexturedMesh) -> UInt8[np.ndarray, "n 3"]:

@@ -10,7 +10,6 @@ References:
     mvs-texturing, which takes 0.5 off the pixels.
 """
 
-import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -23,6 +22,7 @@ from photoreg.formats.camera_set import (
     intrinsics,
     without,
 )
+from photoreg.formats.mark import COMMENT
 from photoreg.formats.parsing import (
     camera_of,
     numbers,
@@ -30,17 +30,18 @@ from photoreg.formats.parsing import (
     refuse_distortion,
 )
 from photoreg.formats.photo_files import displayed_size, photo_of_stem
-from photoreg.formats.writing import make_folder, write_files
+from photoreg.formats.writing import Content, make_folder, write_files
 
 
-def save_texrecon(folder: Path, cameras: CameraSet) -> Saved:
+def save_texrecon(folder: Path, cameras: CameraSet, overwrite: bool = False) -> Saved:
     """Writes a .cam for each photo, and copies of the photos that are known.
 
     Raises:
         OutputError: if they cannot be written there, or two photos differ in their
             suffix only.
     """
-    contents, losses = {}, []
+    contents: dict[Path, Content] = {}
+    losses = []
     for name, camera in cameras.cameras.items():
         camera, lost = without(name, camera, "texrecon", "skew")
         losses += lost
@@ -59,27 +60,21 @@ def save_texrecon(folder: Path, cameras: CameraSet) -> Saved:
             [*camera.t_cam_world, *camera.R_cam_world.ravel()],
             [focal, 0.0, 0.0, aspect, ppx, ppy],
         )
-        contents[path] = "".join(
-            " ".join(repr(float(v)) for v in row) + "\n" for row in rows
-        )
+        lines = [" ".join(repr(float(v)) for v in row) for row in rows]
+        # Readers take two lines, and leave a third.
+        contents[path] = "\n".join([*lines, f"# {COMMENT}", ""])
     make_folder(folder)
-    return Saved(write_files(contents) + _copies(folder, cameras), losses)
+    contents |= _copies(folder, cameras)
+    return Saved(write_files(contents, cameras.files, overwrite), losses)
 
 
-def _copies(folder: Path, cameras: CameraSet) -> list[Path]:
+def _copies(folder: Path, cameras: CameraSet) -> dict[Path, Content]:
     """Copies of the known photos beside their cameras, where texrecon looks."""
-    copies = []
+    copies: dict[Path, Content] = {}
     for name in cameras.cameras:
         source = cameras.photos.get(name)
-        if source is None or source.resolve().parent == folder.resolve():
-            continue
-        try:
-            shutil.copyfile(source, folder / name)
-        except OSError as error:
-            raise OutputError(
-                f"Cannot copy {source} into {folder}: {error.strerror or error}."
-            ) from error
-        copies.append(folder / name)
+        if source is not None and source.resolve().parent != folder.resolve():
+            copies[folder / name] = source
     return copies
 
 

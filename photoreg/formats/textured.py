@@ -7,12 +7,14 @@ from pathlib import Path
 from photoreg.errors import OutputError
 from photoreg.formats.archives import zipped
 from photoreg.formats.glb import save_textured_glb
-from photoreg.formats.obj import save_textured_obj
+from photoreg.formats.obj import obj_files, save_textured_obj
 from photoreg.formats.pictures import PictureKind
-from photoreg.formats.ply import save_coloured_ply, save_textured_ply
+from photoreg.formats.ply import ply_files, save_coloured_ply, save_textured_ply
+from photoreg.formats.writing import check_suffix
 from photoreg.texture import TexturedMesh
 
-TEXTURED_FORMATS: dict[str, Callable[[Path, TexturedMesh, PictureKind], list[Path]]] = {
+_Save = Callable[[Path, TexturedMesh, PictureKind, bool], list[Path]]
+TEXTURED_FORMATS: dict[str, _Save] = {
     ".obj": save_textured_obj,
     ".glb": save_textured_glb,
     ".ply": save_textured_ply,
@@ -20,11 +22,29 @@ TEXTURED_FORMATS: dict[str, Callable[[Path, TexturedMesh, PictureKind], list[Pat
 """Suffix to what writes it and returns the files, the model first."""
 
 
+def textured_files(
+    path: Path | str, at_vertices: bool = False, picture: PictureKind = "png"
+) -> list[Path]:
+    """The files that `save_textured` will write, the model first.
+
+    Raises:
+        OutputError: if the suffix is none that it writes.
+    """
+    path = check_suffix(path, (".ply",) if at_vertices else tuple(TEXTURED_FORMATS))
+    match path.suffix.lower():
+        case ".obj":
+            return obj_files(path, picture)
+        case ".ply" if not at_vertices:
+            return ply_files(path, picture)
+    return [path]
+
+
 def save_textured(
     path: Path | str,
     textured: TexturedMesh,
     at_vertices: bool = False,
     picture: PictureKind = "png",
+    overwrite: bool = False,
 ) -> list[Path]:
     """Writes a textured model: .obj (with MTL and picture), .glb or .ply (with picture).
 
@@ -33,12 +53,14 @@ def save_textured(
         textured: What `bake_texture` returned.
         at_vertices: For .ply: colours at the vertices instead of a texture.
         picture: How the texture is written; JPEG is several times smaller.
+        overwrite: Whether files without photoreg's mark may be replaced.
 
     Returns:
         The files written, the model first.
 
     Raises:
-        OutputError: if the suffix is another, or the files cannot be written there.
+        OutputError: if the suffix is another, or the files cannot be written there,
+            or others are there.
     """
     path = Path(path)
     save = TEXTURED_FORMATS.get(path.suffix.lower())
@@ -52,8 +74,8 @@ def save_textured(
             raise OutputError(
                 f"Cannot write {path}: colours at the vertices go into a .ply file."
             )
-        return save_coloured_ply(path, textured)
-    return save(path, textured, picture)
+        return save_coloured_ply(path, textured, overwrite)
+    return save(path, textured, picture, overwrite)
 
 
 def textured_download(

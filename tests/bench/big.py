@@ -13,6 +13,7 @@ from playwright.sync_api import sync_playwright
 from app.conductor import Conductor
 from app.server import Page
 from app.session import with_cameras
+from photoreg.formats.ply import save_mesh
 from photoreg.mesh import Mesh
 from photoreg.scene_options import SceneOptions
 from photoreg.synthetic import Scene, make_scene
@@ -106,10 +107,11 @@ def _files(scene: Scene, folder: Path) -> list[Path]:
         away = scene.mesh.diagonal * np.array([0.2 * side, -0.4, 0.0])
         bodies.append((0.2 * small[0] + away, small[1]))
     first = np.cumsum([0] + [len(vertices) for vertices, _ in bodies])
-    Mesh(
+    mesh = Mesh(
         np.concatenate([vertices for vertices, _ in bodies]),
         np.concatenate([f + n for (_, f), n in zip(bodies, first, strict=False)]),
-    ).save(folder / "big.ply")
+    )
+    save_mesh(folder / "big.ply", mesh)
     paths = [folder / "big.ply"]
     for photo in scene.photos:
         large = cv2.resize(photo.pixels, (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC)
