@@ -130,18 +130,23 @@ class Autosave:
         if run.is_active and cut_short(run).status == "review":
             others = (other for other in runs if other.number != run.number)
             runs = (*others, cut_short(run))
+        note = ""
         try:
             stored = self.project.read_setting("choices", {})
         except InputError as error:
             # They are quickly chosen again; the work must not wait for them.
             log.warning("Choices of the page were not read: %s", error)
-            stored = {}
+            stored, note = {}, f"What was chosen on the page is as at first: {error}"
         choices = {
             name: value
             for name, value in stored.items()
             if name in CHOICES and fits(value, CHOICES[name])
         }
-        choices |= {"runs": runs, "kept_search": self._runs.take_up(run, runs)}
+        choices |= {
+            "note": note,
+            "runs": runs,
+            "kept_search": self._runs.take_up(run, runs),
+        }
         return lambda: self._session.restore(
             self._written, now - first, choices, cut_short(run)
         )

@@ -258,7 +258,9 @@ class Projects:
             if show is not None:
                 show()
             self._session.read_only = project.read_only
-            note = "" if project.old_copy is None else OLD_COPY % project.old_copy.name
+            note = "" if show is None else self._session.state.note
+            if project.old_copy is not None:
+                note = OLD_COPY % project.old_copy.name
             self._session.change(None, setting(saving=project.read_only, note=note))
 
         try:

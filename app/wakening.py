@@ -11,6 +11,8 @@ from typing import Any
 from viser.infra import Message, _infra
 from viser.infra._async_message_buffer import AsyncMessageBuffer
 
+from app.outgoing import sendable
+
 
 class LoopEvent(asyncio.Event):
     """An event that is set in its loop only.
@@ -42,7 +44,7 @@ class WakeningBuffer(AsyncMessageBuffer):
     def push(self, message: Message) -> None:
         """Takes a message, unless the browser that it is for has left meanwhile."""
         if not self.done:
-            super().push(message)
+            super().push(sendable(message))
 
 
 def mend_wakening() -> None:

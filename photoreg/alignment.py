@@ -38,6 +38,12 @@ SETTLING_POINTS = 500
 """Surface points by which a level is seen to have settled."""
 
 
+MOST_POINTS = 10_000_000
+"""Of a level: each takes some hundred bytes for every pair of photos."""
+
+MOST_ROUNDS = 1_000_000
+
+
 @dataclasses.dataclass(frozen=True)
 class PolishConfig:
     """Settings of the polish."""
@@ -85,9 +91,37 @@ class PolishConfig:
             raise InputError(
                 "A level of the polish needs at least 100 points, 1 round and 1 iteration."
             )
+        if max(self.points) > MOST_POINTS:
+            raise InputError(
+                f"A level of the polish takes up to {MOST_POINTS:,} points, but points "
+                f"is {max(self.points):g}."
+            )
+        if max(*self.rounds, self.extra_rounds, self.iterations) > MOST_ROUNDS:
+            raise InputError(
+                f"The polish takes up to {MOST_ROUNDS:,} rounds and iterations."
+            )
         if not 0.0 < self.min_cosine < 1.0:
             raise InputError(
                 f"min_cosine should be between 0 and 1, but is {self.min_cosine}."
+            )
+        if not 0.0 < self.cell_px < np.inf:
+            raise InputError(f"cell_px should be above 0, but is {self.cell_px}.")
+        if self.max_side_px < 16:
+            raise InputError(
+                f"max_side_px should be at least 16, but is {self.max_side_px}."
+            )
+        if self.use_silhouette and len(self.rim_reaches_px) < n:
+            raise InputError(
+                f"rim_reaches_px should have one reach a level, {n}, but has "
+                f"{len(self.rim_reaches_px)}."
+            )
+        if not all(0.0 <= reach < np.inf for reach in self.rim_reaches_px):
+            raise InputError(
+                f"rim_reaches_px should be 0 or more, but is {self.rim_reaches_px}."
+            )
+        if not 0 <= self.rim_points <= MOST_POINTS:
+            raise InputError(
+                f"rim_points should be 0 to {MOST_POINTS:,}, but is {self.rim_points:g}."
             )
 
 

@@ -55,15 +55,15 @@ class ConsistencyConfig:
     """Sigma of a Gaussian blur of the reduced photos, in their pixels, 0 or more."""
 
     patch_side: int = 5
-    """Points along a side of an mncc patch, odd, at least 3."""
+    """Points along a side of an mncc patch, odd, 3 to 99."""
     patch_step_px: float = 2.0
     """Distance between the points of an mncc patch, in pixels of the reduced photos,
     above 0."""
 
     def __post_init__(self) -> None:
-        if self.patch_side < 3 or self.patch_side % 2 == 0:
+        if not 3 <= self.patch_side <= 99 or self.patch_side % 2 == 0:
             raise InputError(
-                f"patch_side is {self.patch_side}; give an odd number, at least 3."
+                f"patch_side is {self.patch_side}; give an odd number from 3 to 99."
             )
         if not 0.0 < self.patch_step_px < np.inf:
             raise InputError(

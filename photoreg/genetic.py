@@ -33,8 +33,8 @@ class GeneticConfig:
     """Settings of the genetic algorithm."""
 
     population: int = 500
-    """Individuals kept alive, at least 4. More finds the basin more often, at linear
-    cost."""
+    """Individuals kept alive, 4 to a million. More finds the basin more often, at
+    linear cost."""
     generations: int = 100
     """Generations of each restart, at least 1."""
     restarts: int = 5
@@ -73,17 +73,17 @@ class GeneticConfig:
     """A restart ends after this many generations without a better best; 0: never."""
 
     def __post_init__(self) -> None:
-        least = {
-            "population": 4,
-            "generations": 1,
-            "restarts": 1,
-            "tournament_size": 1,
-            "stagnation": 0,
+        ranges = {
+            "population": (4, 1_000_000),
+            "generations": (1, 1_000_000),
+            "restarts": (1, 1_000_000),
+            "tournament_size": (1, 1_000_000),
+            "stagnation": (0, 1_000_000),
         }
-        for name, minimum in least.items():
+        for name, (least, most) in ranges.items():
             value = getattr(self, name)
-            if value < minimum:
-                raise InputError(f"{name} is {value}; give at least {minimum}.")
+            if not least <= value <= most:
+                raise InputError(f"{name} is {value:g}; give {least} to {most:,}.")
         for name in ("crossover_rate", "mutation_rate"):
             value = getattr(self, name)
             if not 0.0 <= value <= 1.0:

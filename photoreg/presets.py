@@ -15,6 +15,12 @@ from photoreg.visibility import VisibilityMethod
 
 PresetName = Literal["default", "paper", "fast", "thorough"]
 
+LARGEST_SEED = 2**63 - 1
+"""A project's database and the page's messages hold integers of 64 bits."""
+
+MOST_SAMPLES = 10_000_000
+"""Each takes some hundred bytes."""
+
 OBJECT_BOX = GeneBox(
     focal=0.04, principal_point=0.01, rotation_deg=4.5, scale=0.08, shift=0.05
 )
@@ -42,9 +48,9 @@ class RegistrationConfig:
     """Everything that a refinement can be told."""
 
     seed: int = 0
-    """Same seed, same answer, whatever the number of threads; 0 or more."""
+    """Same seed, same answer, whatever the number of threads; 0 to 2^63 - 1."""
     samples: int = 1000
-    """Surface points that the search compares, at least 10."""
+    """Surface points that the search compares, 10 to ten million."""
     focus_samples: bool = True
     """Take the surface points only where two photos may see them; false: from the
     whole surface, as the paper does."""
@@ -79,10 +85,12 @@ class RegistrationConfig:
     """The polish."""
 
     def __post_init__(self) -> None:
-        if self.seed < 0:
-            raise InputError(f"seed is {self.seed}; give 0 or more.")
-        if self.samples < 10:
-            raise InputError(f"samples is {self.samples}; give at least 10.")
+        if not 0 <= self.seed <= LARGEST_SEED:
+            raise InputError(f"seed is {self.seed:g}; give 0 to {LARGEST_SEED:,}.")
+        if not 10 <= self.samples <= MOST_SAMPLES:
+            raise InputError(
+                f"samples is {self.samples:g}; give 10 to {MOST_SAMPLES:,}."
+            )
         if not 0.0 <= self.pull < np.inf:
             raise InputError(f"pull is {self.pull}; give 0 or more.")
         if not 0.0 <= self.foreground < np.inf:

@@ -4,19 +4,24 @@ import contextlib
 import json
 import logging
 import math
+import sqlite3
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import msgspec
 import pytest
 import viser
+from viser import _messages
 
 from app.conductor import Conductor
-from app.incoming import NotUnderstoodError, understood
+from app.incoming import LARGEST_NUMBER, NotUnderstoodError, understood
+from app.outgoing import sendable
+from app.projects import Projects
 from app.server import Page
-from app.session import Session
+from app.session import Session, setting
 from app.state import Document, PhotoEntry, State
 from app.warm_up import toy_scene
+from photoreg.presets import RegistrationConfig
 from tests.bench.wire import listening, view_from
 from tests.browser.driver import wait_until
 
@@ -272,3 +277,116 @@ def test_messages_that_are_damaged_or_unknown_are_dropped(page, caplog, capfd):
         assert_alive(page)
     assert_clean(caplog, capfd)
     assert "Dropped what a browser sent" in caplog.text
+
+
+EXTREMES = (
+    "1e20",
+    "1e308",
+    "-1e308",
+    "nan",
+    "inf",
+    "-inf",
+    "-0",
+    "100000000000000000000",
+    "9" * 30,
+    "-" + "9" * 30,
+    "9" * 400,
+    "",
+    "seven",
+    "1,2",
+)
+
+
+def as_sent(text: str) -> Any:
+    """What viser's page makes of what is typed into a box of numbers, and more."""
+    with contextlib.suppress(ValueError):
+        return float(text)
+    return text
+
+
+def test_extremes_typed_into_every_field_leave_the_page_and_its_project_whole(
+    tmp_path, caplog, capfd
+):
+    mesh, photos, cameras = toy_scene()
+    entries = tuple(map(PhotoEntry, photos, cameras))
+    session = Session()
+    projects = Projects(session)
+    projects.new(Document(mesh, mesh, entries), tmp_path / "project")
+    conductor = Conductor(session, projects=projects, warm_up=False)
+    page = Page(session, conductor, port=0)
+    try:
+        with browsing(page) as (send, _):
+            for uuid, handle in inputs(page).items():
+                if isinstance(handle, viser.GuiUploadButtonHandle):
+                    continue
+                for text in EXTREMES:
+                    value = as_sent(text)
+                    if isinstance(handle.value, tuple):
+                        values = [
+                            [value, *handle.value[1:]],
+                            [value] * len(handle.value),
+                        ]
+                    else:
+                        values = [text] if isinstance(handle.value, str) else [value]
+                    for given in values:
+                        if uuid != page._bus._text._impl.uuid:
+                            send(update(uuid, value=given))
+            toggle_dark(page, send)
+            assert_alive(page)
+        assert session.state.settings.seed <= LARGEST_NUMBER
+        settings = session.state.settings
+        assert projects.wait(20), "all of it is kept"
+        assert not session.state.saving
+    finally:
+        page.close()
+        conductor.close()
+        projects.close()
+    again = Session()
+    reopened = Projects(again)
+    reopened.open(tmp_path / "project")
+    try:
+        assert again.state.settings == settings
+        assert not again.state.note
+    finally:
+        reopened.close()
+    assert_clean(caplog, capfd)
+
+
+def test_a_project_that_holds_a_seed_too_large_opens_and_says_so(tmp_path, caplog):
+    session = Session()
+    projects = Projects(session)
+    projects.new(Document(), tmp_path / "project")
+    session.change(None, setting(config=RegistrationConfig(seed=7), preset="fast"))
+    assert projects.wait(20)
+    projects.close()
+    with sqlite3.connect(tmp_path / "project" / "project.db") as database:
+        for table, column in (("settings", "value"), ("parts", "content")):
+            changed = database.execute(
+                f"UPDATE {table} SET {column} = replace(CAST({column} AS TEXT), "
+                f"'\"seed\":7', '\"seed\":100000000000000000000')"
+            )
+            assert changed.rowcount
+    database.close()
+    again = Session()
+    reopened = Projects(again)
+    reopened.open(tmp_path / "project")
+    try:
+        assert again.state.settings.seed == 0
+        assert "seed is 1e+20; give 0 to" in again.state.note
+    finally:
+        reopened.close()
+    assert not [r for r in caplog.records if r.exc_info]
+
+
+def test_what_cannot_be_sent_is_mended_and_logged(caplog):
+    whole = _messages.GuiUpdateMessage("a", {"value": 7, "name": "x", "v": (1.5, True)})
+    assert sendable(whole) is whole
+    assert not caplog.records
+    broken = _messages.GuiUpdateMessage("a", {"value": 10**20, "name": ["\ud800"]})
+    mended = sendable(broken)
+    assert mended.as_serializable_dict() == {
+        "type": "GuiUpdateMessage",
+        "uuid": "a",
+        "updates": {"value": 2**63 - 1, "name": ["?"]},
+    }
+    assert [record.levelname for record in caplog.records] == ["ERROR"]
