@@ -18,9 +18,9 @@ from app.incoming import LARGEST_NUMBER
 from photoreg.errors import InputError
 from photoreg.limits import Limits
 
-_BOUNDS = msgspec.Meta(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)
-Number = Annotated[float, _BOUNDS]
-Whole = Annotated[int, _BOUNDS]
+_MOST = int(LARGEST_NUMBER)
+Number = Annotated[float, msgspec.Meta(ge=-_MOST, le=_MOST)]
+Whole = Annotated[int, msgspec.Meta(ge=-_MOST, le=_MOST)]
 
 Values = dict[str, Any]
 Handler = Callable[[Values, viser.ClientHandle], None]
@@ -70,13 +70,14 @@ class Bus:
             values = json.loads(text, parse_constant=_no_number)
             json.dumps(values, ensure_ascii=False).encode()
             handler, fields = self._handlers[values["act"]]
-            checked = {
-                name: msgspec.convert(values[name], kind)
-                for name, kind in fields.items()
-            }
+            given = {name: values[name] for name in fields}
         except UnicodeEncodeError as error:
             raise InputError(HALF_A_CHARACTER) from error
         except (ValueError, KeyError, TypeError, RecursionError) as error:
+            raise InputError(NOT_UNDERSTOOD) from error
+        try:
+            checked = {k: msgspec.convert(given[k], fields[k]) for k in fields}
+        except ValueError as error:
             raise InputError(NOT_UNDERSTOOD) from error
         handler(checked, client)
 

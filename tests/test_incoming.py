@@ -188,6 +188,46 @@ def test_every_message_of_the_scripts_survives_every_hostile_value(page, caplog,
     assert_clean(caplog, capfd)
 
 
+def test_what_the_scripts_do_send_is_done(page):
+    session, bus = page.session, page._bus._text._impl.uuid
+    first, second = (entry.name for entry in session.state.document.photos)
+    photo = {"photo": first}
+
+    def entries() -> dict[str, PhotoEntry]:
+        return {entry.name: entry for entry in session.state.document.photos}
+
+    with browsing(page) as (send, _):
+        for message, done in (
+            ({"act": "shift", "by": 1}, lambda: [*entries()] == [second, first]),
+            ({"act": "enable", "on": False}, lambda: not entries()[first].enabled),
+            ({"act": "pick", "u": 30, "v": 40.5}, lambda: entries()[first].pairs),
+            (
+                {"act": "move", "number": 1, "u": 31, "v": 41},
+                lambda: entries()[first].pairs[0].pixel == (31.0, 41.0),
+            ),
+            (
+                {"act": "choose", "number": 1},
+                lambda: session.state.chosen_pair == 1,
+            ),
+            (
+                {"act": "choose", "number": None},
+                lambda: session.state.chosen_pair is None,
+            ),
+            ({"act": "delete", "number": 1}, lambda: not entries()[first].pairs),
+            (
+                {"act": "paint", "stroke": [[9, 9.5]], "radius": 5, "counts": False},
+                lambda: entries()[first].mask_png,
+            ),
+            ({"act": "unmask"}, lambda: entries()[first].mask_png is None),
+            ({"act": "select", "photo": second}, lambda: session.state.selected == 0),
+            ({"act": "rename", "name": "x.png"}, lambda: "x.png" in entries()),
+            ({"act": "batch", "files": 2}, lambda: session.state.job is not None),
+            ({"act": "stop"}, lambda: session.state.job is None),
+        ):
+            send(update(bus, value=json.dumps({**photo, **message})))
+            wait_until(done, message["act"], 20)
+
+
 def test_only_the_value_of_a_widget_can_be_set(page, caplog, capfd):
     start = next(
         h for h in inputs(page).values() if getattr(h, "label", "") == "Refine"
