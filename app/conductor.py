@@ -325,12 +325,15 @@ class Conductor:
             return
         with self._lock:
             reach = wanted_reach(new)
+            is_drawn = needs_overlay(old, new)
+            if is_drawn or reach != self._reach_asked:
+                # First: what a photo may not move is told by its place among them.
+                self._send_scene(new.document)
             if reach is not None and reach != self._reach_asked:
                 self.worker.send(reach)
                 self._reach_asked = reach
-            if not needs_overlay(old, new):
+            if not is_drawn:
                 return
-            self._send_scene(new.document)
             names = tuple(entry.name for entry in new.document.used)
             truth = new.document.true_cameras(names)
             self.worker.send(DrawOverlay(shown_cameras(new), wanted_view(new), truth))

@@ -14,10 +14,12 @@ import io
 import ipaddress
 import logging
 import secrets
+import string
 from collections.abc import Callable
 from typing import Any
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
+import idna
 import viser
 import websockets.asyncio.server as websocket_server
 from viser import _messages
@@ -25,6 +27,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
+from app.guesses import Guesses
 from app.incoming import check_incoming
 from app.opening import static_folder
 from app.pictures import ROOT, Pictures
@@ -71,21 +74,14 @@ class Doors:
     token: str | None = None
     """What lets in. None on a loopback address: this machine's programs need none."""
     address: str | None = None
-    """Where people reach the server through a proxy, "https://photos.example.org"."""
+    """Where people reach the server through a proxy, "https://photos.example.org"; kept
+    as browsers write it."""
+    guesses: Guesses = dataclasses.field(default_factory=Guesses, compare=False)
+    """The wrong tokens that came."""
 
     def __post_init__(self) -> None:
         if self.address is not None:
-            parts = urlsplit(self.address)
-            if parts.scheme not in ("http", "https") or not parts.netloc:
-                raise InputError(
-                    "The address should be as in https://photos.example.org, but is "
-                    f"{self.address!r}."
-                )
-            if parts.path.strip("/") or parts.query or parts.fragment:
-                raise InputError(
-                    f"The address {self.address!r} should end after its host: photoreg "
-                    "must be at the top of a host name, not in a folder of it."
-                )
+            object.__setattr__(self, "address", _as_browsers_write(self.address))
         if self.token is None and self.is_public:
             raise InputError(
                 f"Listening on {self.host!r} lets other machines in; it needs a token."
@@ -124,8 +120,14 @@ class Doors:
             return address
         return f"{address.rstrip('/')}/?token={self.token}"
 
-    def answer(self, request: Request, port: int) -> Response | None:
-        """A refusal, or the cookie for a token; None: let it in."""
+    def answer(self, request: Request, port: int, peer: str = "") -> Response | None:
+        """A refusal, or the cookie for a token; None: let it in.
+
+        Args:
+            request: What is asked for.
+            port: That it came to.
+            peer: The address that it came from.
+        """
         hosts = request.headers.get_all("Host")
         host = hosts[0] if len(hosts) == 1 else ""
         if not self._is_ours(host):
@@ -145,27 +147,51 @@ class Doors:
             return _redirection(kept)
         if self.token is None:
             return None
+        source = self._source(request, peer)
+        if not self.guesses.admits(source):
+            return _response(http.HTTPStatus.TOO_MANY_REQUESTS, TOO_OFTEN)
         if "token" in dict(pairs) and not is_websocket and path == "/":
-            return self._exchange(pairs, port)
-        if any(self._matches(value) for value in cookies(request, cookie_name(port))):
+            return self._exchange(pairs, port, source)
+        given = cookies(request, cookie_name(port))
+        if any(self._matches(value) for value in given):
             return None
+        for value in given:
+            self.guesses.was_wrong(source, value)
         return refusal(DOORMAT, html=path == "/" and not is_websocket)
 
+    def _source(self, request: Request, peer: str) -> str:
+        """Who asks: behind a proxy, whom the proxy names last."""
+        forwarded = request.headers.get_all("X-Forwarded-For")
+        if self.address is None or not is_loopback(peer) or not forwarded:
+            return peer
+        return forwarded[-1].rpartition(",")[2].strip()[:64] or peer
+
     def _is_ours(self, host: str) -> bool:
-        if self.address is not None and host == urlsplit(self.address).netloc:
-            return True
-        return bool(host) and (not is_loopback(self.host) or is_loopback(_name(host)))
+        if self.address is not None:
+            scheme, _, own = self.address.partition("://")
+            if _place(host, scheme) == _place(own, scheme):
+                return True
+        place = _place(host, "http")
+        return place is not None and (
+            not is_loopback(self.host) or is_loopback(place[0])
+        )
 
     def _is_own_page(self, request: Request, host: str) -> bool:
         origins = request.headers.get_all("Origin")
         if len(origins) != 1:
             return False
-        parts = urlsplit(origins[0])
-        return parts.scheme in ("http", "https") and parts.netloc == host
+        scheme, _, place = origins[0].partition("://")
+        own = _place(host, scheme)
+        return own is not None and _place(place, scheme) == own
 
-    def _exchange(self, pairs: list[tuple[str, str]], port: int) -> Response:
+    def _exchange(
+        self, pairs: list[tuple[str, str]], port: int, source: str
+    ) -> Response:
         """The cookie for the right token, and the address without it."""
-        if not all(self._matches(value) for name, value in pairs if name == "token"):
+        wrong = [v for k, v in pairs if k == "token" and not self._matches(v)]
+        for value in wrong:
+            self.guesses.was_wrong(source, value)
+        if wrong:
             return _response(
                 http.HTTPStatus.FORBIDDEN, _door_page().replace(*WRONG), HTML
             )
@@ -190,6 +216,7 @@ DOORMAT = (
     "started."
 )
 
+TOO_OFTEN = "Too many wrong tokens came from your address. Wait a minute.\n"
 
 HTML = {"Content-Type": "text/html; charset=utf-8"}
 WRONG = ("<!-- wrong -->", '<p class="wrong" role="alert">That is not its token.</p>')
@@ -284,7 +311,8 @@ def guarded(doors: Doors, following: Hook) -> Hook:
     """The handshake hook: the doors first, then ``following``; safe headers on all."""
 
     async def process(connection: ServerConnection, request: Request) -> Any:
-        response = doors.answer(request, connection.local_address[1])
+        peer = str((connection.remote_address or ("",))[0])
+        response = doors.answer(request, connection.local_address[1], peer)
         if response is None:
             try:
                 response = following(connection, request)
@@ -327,8 +355,64 @@ def with_pictures(following: Any, pictures: Pictures) -> Hook:
     return process
 
 
-def _name(host: str) -> str:
-    """The host of "host:port", without the brackets of IPv6."""
-    if host.startswith("["):
-        return host[1:].partition("]")[0]
-    return host.partition(":")[0]
+DEFAULT_PORTS = {"http": 80, "https": 443}
+HOST_CHARACTERS = frozenset(string.ascii_lowercase + string.digits + "-._")
+
+
+def _as_browsers_write(address: str) -> str:
+    """An address whose host and port are as browsers send them.
+
+    Raises:
+        InputError: if it is none, or holds more than scheme, host and port.
+    """
+    shape = "The address should be as in https://photos.example.org"
+    if any(ord(c) <= 32 or ord(c) == 127 for c in address):
+        raise InputError(
+            f"{shape}, without spaces and line breaks, but is {address!r:.200}."
+        )
+    try:
+        parts = urlsplit(address)
+    except ValueError as error:
+        raise InputError(f"{shape}, but is {address!r:.200}.") from error
+    if "@" in parts.netloc or "\\" in address:
+        raise InputError(f"{shape}, without a user or password before its host.")
+    place = _place(parts.netloc, parts.scheme)
+    if place is None:
+        raise InputError(f"{shape}, but is {address!r:.200}.")
+    if parts.path.strip("/") or parts.query or parts.fragment:
+        raise InputError(
+            f"The address {address!r:.200} should end after its host: photoreg must be "
+            "at the top of a host name, not in a folder of it."
+        )
+    host, port = place
+    shown = f"[{host}]" if ":" in host else host
+    default = DEFAULT_PORTS[parts.scheme]
+    return f"{parts.scheme}://{shown}" + ("" if port == default else f":{port}")
+
+
+def _place(netloc: str, scheme: str) -> tuple[str, int] | None:
+    """Host and port of "host:port", alike however they are written; None: it is none."""
+    default = DEFAULT_PORTS.get(scheme)
+    try:
+        parts = urlsplit(f"//{netloc}")
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        return None
+    if default is None or not host or parts.netloc != netloc or "@" in netloc:
+        return None
+    if parts.path or parts.query or parts.fragment:
+        return None
+    if "]" in netloc and netloc.rpartition("]")[2].partition(":")[0]:
+        return None
+    host = host.removesuffix(".")
+    try:
+        host = ipaddress.ip_address(host).compressed
+    except ValueError:
+        if not host.isascii():
+            try:
+                host = idna.encode(host, uts46=True).decode()
+            except idna.IDNAError:
+                return None
+        if not host or any(c not in HOST_CHARACTERS for c in host):
+            return None
+    return host, default if port is None else port

@@ -25,6 +25,7 @@ from app.messages import (
     Failed,
     Job,
     Live,
+    MeasureReach,
     OverlayView,
     Picture,
     Ready,
@@ -428,3 +429,29 @@ def test_baking_is_stopped_between_its_steps_and_then_works(conductor):
     assert files[0][0].endswith(".glb")
     assert files[0][1][:4] == b"glTF"
     assert session.state.job is None
+
+
+def test_what_may_move_reaches_the_worker_with_the_photos_that_it_is_about(
+    conductor, scene, monkeypatch
+):
+    sent: list[Job] = []
+    monkeypatch.setattr(conductor.worker, "send", lambda *jobs: sent.extend(jobs))
+    two = conductor.session.state.document
+    third = dataclasses.replace(two.photos[0].photo, name="third.png")
+    three = dataclasses.replace(
+        two, photos=(*two.photos, PhotoEntry(third, two.photos[0].camera))
+    )
+    for document in (three, two, three):
+        last = document.photos[-1].name
+        conductor.session.restore(
+            [rules.Step(None, document)], 0, {"held": ((last, "focal"),)}
+        )
+    photos = len(two.photos)
+    n_told = 0
+    for job in sent:
+        if isinstance(job, SetScene):
+            photos = len(job.photos)
+        if isinstance(job, MeasureReach):
+            n_told += 1
+            assert len(job.freedom.held) == photos
+    assert n_told == 3
