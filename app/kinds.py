@@ -4,7 +4,7 @@ from pathlib import Path
 
 from photoreg.formats.camera_search import CAMERA_SUFFIXES
 from photoreg.mesh import MESH_SUFFIXES
-from photoreg.photo import PHOTO_SUFFIXES
+from photoreg.photo_formats import PHOTO_SUFFIXES
 
 MESH, PHOTO, CAMERAS = range(3)
 KINDS = (MESH_SUFFIXES, PHOTO_SUFFIXES, (*CAMERA_SUFFIXES, ".zip"))

@@ -14,6 +14,10 @@ import numpy as np
 from PIL import Image
 
 from photoreg.errors import InputError
+from photoreg.photo_formats import JPEG, PNG, TIFF, WEBP
+
+MASK_FORMATS = (PNG, JPEG, TIFF, WEBP)
+MASK_SUFFIXES = tuple(suffix for known in MASK_FORMATS for suffix in known.suffixes)
 
 SUBPIXEL_BITS = 4
 """Strokes are drawn to a sixteenth of a pixel."""
@@ -101,13 +105,15 @@ def load_mask(path: Path, width: int, height: int) -> bytes | None:
 def mask_of(name: str, content: bytes, width: int, height: int) -> bytes | None:
     """The same of the content of a file."""
     try:
-        with Image.open(io.BytesIO(content), formats=("JPEG", "PNG", "TIFF")) as image:
+        names = [name for known in MASK_FORMATS for name in known.pillow_names]
+        with Image.open(io.BytesIO(content), formats=names) as image:
             size = image.size
             has_alpha = "A" in image.getbands() or "transparency" in image.info
             rgba = image.convert("RGBA")
     except Exception as error:
         raise InputError(
-            f"{name} could not be read as a JPEG, PNG or TIFF picture."
+            f"{name} could not be read as a picture; a mask should be a "
+            f"{', '.join(known.name for known in MASK_FORMATS)}."
         ) from error
     if abs(size[0] * height - size[1] * width) > max(*size, width, height):
         raise InputError(

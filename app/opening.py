@@ -10,7 +10,8 @@ from photoreg.errors import InputError
 from photoreg.formats.cameras import read_cameras
 from photoreg.formats.cameras_json import CameraFile, load_cameras
 from photoreg.mesh import MESH_SUFFIXES, load_mesh
-from photoreg.photo import PHOTO_SUFFIXES, load_photo
+from photoreg.photo import load_photo
+from photoreg.photo_formats import PHOTO_SUFFIXES
 
 DISPLAY_FACES = 150_000
 """Faces the page draws at most; WebGL in a browser takes 200,000 with ease."""
@@ -142,7 +143,7 @@ def with_cameras(document: Document, file: CameraFile, name: str) -> Document:
             f"{name} has cameras for {listed(file.cameras)}. Open these photos first, "
             "or together with it: cameras are matched to photos by file name."
         )
-    known = [entry for entry in document.photos if entry.name in file.cameras]
+    known = [entry for entry in document.photos if file.of_photo(entry.name)]
     if not known:
         raise InputError(
             f"{name} has cameras for {listed(file.cameras)}, but the photos are "

@@ -60,13 +60,14 @@ def with_loaded_cameras(state: State, event: CamerasLoaded) -> State:
     name, file = event.name, event.file
     document = with_cameras(state.document, file, name)
     names = [entry.name for entry in document.photos]
-    lacking = [name for name in names if name not in file.cameras]
+    lacking = [name for name in names if file.of_photo(name) is None]
     note = f"The cameras are those of {name}."
     if lacking:
         note = (
             f"{name} has cameras for {len(names) - len(lacking)} of {len(names)} photos; "
             f"{listed(lacking)} kept the old ones."
         )
+    note = " ".join([note, *file.notes])
     return dataclasses.replace(state, document=document, note=note)
 
 

@@ -17,6 +17,7 @@ from app.uploads import too_large
 from app.widgets import help_line
 from photoreg.formats.camera_search import CAMERA_SUFFIXES
 from photoreg.limits import Limits
+from photoreg.photo_formats import formats_in_words
 
 
 class DataPanel:
@@ -179,7 +180,7 @@ def focal_text(entry: PhotoEntry) -> str:
     focal_px, photo = entry.camera.focal_px, entry.photo
     text = f"f {focal_px:.0f} px"
     if photo.exif_focal_px is not None:
-        at_start, where = photo.exif_focal_px, "by EXIF"
+        at_start, where = photo.exif_focal_px, photo.exif_focal_note or "by EXIF"
     else:
         at_start, where = guessed_focal_px(photo), "a guess: no EXIF"
     return f"{text}, {where}" if math.isclose(focal_px, at_start) else text
@@ -228,8 +229,8 @@ def _opening_html(state: State, busy: bool, limits: Limits) -> str:
         )
         + f'<div style="{_FINE_PRINT};margin-bottom:9px">'
         "Or drop them anywhere on this page, several at once. Mesh: OBJ, PLY, STL, GLB, "
-        f"OFF. Photos: JPEG, PNG, TIFF. Up to {limits.file_mb:,.0f} MB each. A new photo "
-        "gets a first camera in front of the object; place it in the next tab.</div>"
+        f"OFF. Photos: {formats_in_words()}. Up to {limits.file_mb:,.0f} MB each. A new "
+        "photo gets a first camera in front of the object; place it in the next tab.</div>"
         + _big_button(
             "Load cameras …",
             "Puts the cameras where another program's file says",

@@ -13,7 +13,7 @@ from app.bus import Bus, Number, Values, Whole, mounted
 from app.conductor import Conductor
 from app.controls import guarded, guarded_slow, in_background, put, put_value
 from app.markers import Pull
-from app.masks import mask_of, painted_mask
+from app.masks import MASK_SUFFIXES, mask_of, painted_mask
 from app.pair_table import pair_rows, table_html
 from app.panel_data import index_of, photo_options
 from app.placement import DisplayFrame
@@ -21,7 +21,6 @@ from app.session import select, setting, with_entry
 from app.state import State
 from app.widgets import Tool, Tools
 from photoreg.errors import InputError
-from photoreg.photo import PHOTO_SUFFIXES
 from photoreg.resection import N_POSE
 
 
@@ -63,7 +62,7 @@ class PointsPanel:
             "Load a mask",
             icon=viser.Icon.CIRCLE_HALF_2,
             color="gray",
-            mime_type=",".join(PHOTO_SUFFIXES),
+            mime_type=",".join(MASK_SUFFIXES),
             hint="A picture of the photo's shape: dark or transparent where this photo "
             "does not count. Leave out and Bring back, above, paint it.",
         )

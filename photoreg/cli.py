@@ -26,7 +26,7 @@ from photoreg.checks import noting_inputs
 from photoreg.cli_convert import convert_command
 from photoreg.errors import InputError, OutputError, PhotoregError
 from photoreg.evaluate import projection_error
-from photoreg.formats.cameras import read_cameras
+from photoreg.formats.cameras import photos_by_name, read_cameras
 from photoreg.formats.cameras_json import CameraFile, save_cameras
 from photoreg.formats.pictures import PictureKind, encode_picture
 from photoreg.formats.textured import save_textured, textured_files
@@ -103,7 +103,7 @@ def _refine_command(preset: RegistrationConfig) -> Callable[..., int]:
 
         Args:
             mesh: The scanned surface: OBJ, PLY, STL, GLB or OFF.
-            photos: Two or more photos: JPEG, PNG or TIFF.
+            photos: Two or more photos: JPEG, PNG, TIFF, WebP, HEIC, AVIF, JPEG XL or RAW.
             cameras: Rough cameras to start from, in any format of `photoreg convert`.
             out: Where the refined cameras go (.json).
             preset: Where the options below start from: default; fast, for a look;
@@ -386,13 +386,9 @@ def _load_scene(
         raise InputError(
             f"Give at least {at_least} photo{'s' * (at_least > 1)}; {len(photos)} came."
         )
-    names = [path.name for path in photos]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise InputError(
-            f"{twice[0]} was given twice. Photos are told apart by file name."
-        )
-    file = read_cameras(cameras, photos=photos)
+    file = read_cameras(cameras, photos=photos_by_name(photos))
+    for note in file.notes:
+        _log.print(f"Note: {note}", markup=False)
     surface = load_mesh(mesh)
     pictures = [load_photo(path) for path in photos]
     return surface, pictures, file, file.of_photos(pictures)

@@ -21,7 +21,7 @@ from photoreg.formats.cameras import (
     read_cameras,
     write_cameras,
 )
-from photoreg.photo import PHOTO_SUFFIXES
+from photoreg.photo_formats import PHOTO_SUFFIXES
 
 _log = rich.console.Console(stderr=True, highlight=False, soft_wrap=True)
 
@@ -73,6 +73,14 @@ def convert_command(
         f"{', '.join(map(str, saved.files))}.",
         markup=False,
     )
+    notes = list(file.notes)
+    if not paths and source.is_of_stored_pixels != target.is_of_stored_pixels:
+        notes.append(
+            "The photos were not given, so whether EXIF turns them is not known; if it "
+            "does, give them by --photos."
+        )
+    for note in notes:
+        _log.print(f"Note: {note}", markup=False)
     for loss in saved.losses:
         _log.print(f"Lost: {loss}", markup=False)
     if not saved.losses:

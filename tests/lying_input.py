@@ -11,7 +11,8 @@ from photoreg.formats.archives import unzipped
 from photoreg.formats.cameras import read_cameras
 from photoreg.limits import Limits
 from photoreg.mesh import MESH_SUFFIXES, Mesh, load_mesh
-from photoreg.photo import PHOTO_SUFFIXES, Photo, load_photo
+from photoreg.photo import Photo, load_photo
+from photoreg.photo_formats import PHOTO_SUFFIXES
 
 LIMITS = Limits(
     file_mb=1.0, camera_file_mb=1.0, faces_millions=0.05, photo_megapixels=0.2

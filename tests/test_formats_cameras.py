@@ -178,14 +178,18 @@ def test_an_output_whose_format_is_not_told_is_asked_for(tmp_path):
     assert format_to_write(tmp_path / "a.YAML").name == "opencv"
 
 
-def test_a_photo_that_exif_turns_is_told_or_written_upright(tmp_path, photo_folder):
+def test_the_camera_of_a_photo_that_exif_turns_is_turned_or_it_is_written_upright(
+    tmp_path, photo_folder
+):
     camera = Camera.look_at([3, 1, 2], [0, 0, 0.1], [0, 0.1, 1], 150.0, 97, 160)
     exif = Image.Exif()
     exif[ExifTags.Base.Orientation] = 6
     Image.new("RGB", (160, 97), (200, 0, 0)).save(photo_folder / "t.jpg", exif=exif)
     cameras = CameraSet({"t.jpg": camera}, {"t.jpg": photo_folder / "t.jpg"})
-    _, saved = write(tmp_path, "colmap", cameras)
-    assert "upright copy" in saved.losses[0]
+    path, saved = write(tmp_path, "colmap", cameras)
+    assert saved.losses == []
+    stored = read_cameras(path).cameras["t.jpg"]
+    assert (stored.width, stored.height) == (160, 97)
     path, saved = write(tmp_path, "meshlab", cameras)
     assert saved.losses == []
     with Image.open(saved.files[1]) as picture:

@@ -107,8 +107,9 @@ def two_million_faces(path: Path) -> None:
     trimesh.Trimesh(vertices, faces, process=False, validate=False).export(path)
 
 
-def slopes(dtype: type[np.generic]) -> np.ndarray:
-    return (np.add.outer(np.arange(8400), np.arange(12000)) % 251).astype(dtype)
+def slopes(dtype: type[np.unsignedinteger]) -> np.ndarray:
+    steps = (np.add.outer(np.arange(8400), np.arange(12000)) % 251).astype(dtype)
+    return steps * dtype(np.iinfo(dtype).max // 255)
 
 
 def hundred_megapixels(path: Path) -> None:

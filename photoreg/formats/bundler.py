@@ -9,7 +9,7 @@ References:
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +32,7 @@ from photoreg.formats.parsing import (
     refuse_distortion,
     whole,
 )
-from photoreg.formats.photo_files import displayed_size, path_from
+from photoreg.formats.photo_files import path_from, stored_size
 from photoreg.formats.writing import write_files
 
 NUMBERS_A_CAMERA = 15
@@ -70,7 +70,7 @@ def save_bundler(path: Path, cameras: CameraSet, overwrite: bool = False) -> Sav
     return Saved(write_files(contents, cameras.files, overwrite), losses)
 
 
-def load_bundler(path: Path, photos: Mapping[str, Path]) -> dict[str, Camera]:
+def load_bundler(path: Path, photos: dict[str, Path]) -> dict[str, Camera]:
     """Reads a bundle file with its list: <name>.list.txt or list.txt, also one up.
 
     Cameras that Bundler did not register (focal length 0) are left out.
@@ -121,7 +121,7 @@ def _photo_list(path: Path) -> list[str]:
 
 
 def _cameras(
-    path: Path, names: list[str], words: Iterator[str], photos: Mapping[str, Path]
+    path: Path, names: list[str], words: Iterator[str], photos: dict[str, Path]
 ) -> Iterator[tuple[str, Camera]]:
     for number, listed in enumerate(names, start=1):
         name = photo_name(listed)
@@ -138,7 +138,8 @@ def _cameras(
                 f"{where}: the photo is not beside the file; its size is needed. Give "
                 "the photos too."
             )
-        width, height = displayed_size(photo)
+        photos[name] = photo
+        width, height = stored_size(photo)
         R = OPENGL_AXES @ np.reshape(values[3:12], (3, 3))
         t = OPENGL_AXES @ np.array(values[12:])
         K = intrinsics(focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))

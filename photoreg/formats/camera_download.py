@@ -15,7 +15,7 @@ from photoreg.formats.camera_set import CameraSet
 from photoreg.formats.cameras import (
     FormatName,
     camera_format,
-    lost_turns,
+    for_programs,
     write_cameras,
 )
 from photoreg.formats.photo_files import is_turned
@@ -83,13 +83,16 @@ def cameras_download(
         scan = _mesh_copy(mesh, folder) if name == "meshlab" and with_photos else None
         place = folder / PLACES[name]
         place.parent.mkdir(parents=True, exist_ok=True)
-        saved = write_cameras(place, CameraSet(cameras, copies, scan), name)
+        written, lost = CameraSet(cameras, copies, scan), []
+        if not copies:
+            # Without upright copies, the photos that people have are meant.
+            stored = {p.name: at for p in photos if (at := _file_of(p)) is not None}
+            written, lost = for_programs(chosen, written, stored)
+        saved = write_cameras(place, written, name)
         files = list(saved.files)
         if with_photos:
             files += [path for path in (*copies.values(), scan) if path is not None]
-        stored = {p.name: path for p in photos if (path := _file_of(p)) is not None}
-        # Upright copies need no turning; the photos that people have may.
-        losses = saved.losses + ([] if copies else lost_turns(name, stored))
+        losses = saved.losses + lost
         if len(files) == 1:
             return CamerasDownload(files[0].name, files[0].read_bytes(), losses)
         return CamerasDownload(

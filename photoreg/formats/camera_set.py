@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from photoreg.camera import Camera
 from photoreg.errors import InputError
+from photoreg.words import nfc
 
 MAX_SIDE_PX = 1_000_000
 OPENGL_AXES = np.diag([1.0, -1.0, -1.0])
@@ -56,8 +57,11 @@ class Saved:
 
 
 def photo_name(path: str) -> str:
-    """The file name in a path of any system: photos are matched by it."""
-    return re.split(r"[/\\]", path.strip())[-1]
+    """The file name in a path of any system, in Unicode's composed form.
+
+    Photos are matched by it.
+    """
+    return nfc(re.split(r"[/\\]", path.strip())[-1])
 
 
 def cameras_by_name(

@@ -21,9 +21,10 @@ from photoreg.formats.colmap import (
 from photoreg.formats.meshlab import load_meshlab, save_meshlab
 from photoreg.formats.nerfstudio import load_nerfstudio, save_nerfstudio
 from photoreg.formats.opencv_yaml import load_opencv, save_opencv
+from photoreg.formats.orientation import cameras_as_displayed, cameras_as_stored
 from photoreg.formats.parsing import read_json
-from photoreg.formats.photo_files import is_turned
 from photoreg.formats.texrecon import load_texrecon, save_texrecon
+from photoreg.words import nfc
 
 FormatName = Literal[
     "photoreg",
@@ -54,10 +55,13 @@ class CameraFormat:
     """What it cannot hold, in one sentence."""
     save: Callable[[Path, CameraSet, bool], Saved]
     """Writes cameras to a path, over files that are not photoreg's or not."""
-    load: Callable[[Path, Mapping[str, Path]], Mapping[str, Camera]] | None
-    """Reads cameras from a path, given photos by name; None: it is written only."""
+    load: Callable[[Path, dict[str, Path]], Mapping[str, Camera]] | None
+    """Reads cameras from a path, given photos by name, to which it adds those that it
+    finds beside the file; None: it is written only."""
     is_beside_photos: bool = True
     """Whether its programs look for the photos where the cameras are."""
+    is_of_stored_pixels: bool = True
+    """Whether its programs pass over EXIF's orientation of photos."""
 
     @property
     def is_folder(self) -> bool:
@@ -84,6 +88,7 @@ CAMERA_FORMATS: dict[str, CameraFormat] = {
             _save_photoreg,
             lambda path, _: load_cameras(path).cameras,
             is_beside_photos=False,
+            is_of_stored_pixels=False,
         ),
         CameraFormat(
             "colmap",
@@ -120,7 +125,7 @@ CAMERA_FORMATS: dict[str, CameraFormat] = {
             "the principal point to the pixel.",
             "It loses skew, and turns the camera by the rest of a pixel.",
             save_meshlab,
-            lambda path, _: load_meshlab(path),
+            load_meshlab,
         ),
         CameraFormat(
             "texrecon",
@@ -140,6 +145,7 @@ CAMERA_FORMATS: dict[str, CameraFormat] = {
             save_opencv,
             lambda path, _: load_opencv(path),
             is_beside_photos=False,
+            is_of_stored_pixels=False,
         ),
         CameraFormat(
             "bundler",
@@ -278,9 +284,12 @@ def read_cameras(
         return load_cameras(path)  # With the keys that only this format has.
     if chosen.is_folder and path.suffix.lower() != ".cam" and not path.is_dir():
         raise InputError(f"{path} should be a folder, for the format {chosen.name}.")
-    if not isinstance(photos, Mapping):
-        photos = photos_by_name(photos)
-    return CameraFile(chosen.load(path, photos))
+    known = dict(photos) if isinstance(photos, Mapping) else photos_by_name(photos)
+    cameras = chosen.load(path, known)
+    if not chosen.is_of_stored_pixels:
+        return CameraFile(cameras)
+    cameras, notes = cameras_as_displayed(cameras, known, chosen.label)
+    return CameraFile(cameras, notes=tuple(notes))
 
 
 def write_cameras(
@@ -306,21 +315,25 @@ def write_cameras(
     """
     path = Path(path)
     chosen = format_to_write(path) if name is None else camera_format(name)
+    cameras, losses = for_programs(chosen, cameras, cameras.photos)
     saved = chosen.save(path, cameras, overwrite)
-    written = {n: p for n, p in cameras.photos.items() if n in cameras.cameras}
-    saved.losses.extend(lost_turns(chosen.name, written))
+    saved.losses.extend(losses)
     return saved
 
 
-def lost_turns(name: FormatName, photos: Mapping[str, Path]) -> list[str]:
-    """That programs of a format do not turn these photos as EXIF asks; or nothing."""
-    turned = [photo for photo, path in photos.items() if is_turned(path)]
-    if not turned or name in ("photoreg", "opencv", "meshlab"):
-        return []
-    return [
-        f"{', '.join(turned)}: EXIF shows it otherwise than its pixels are stored, "
-        f"which {name} does not heed; give it an upright copy of the photo."
-    ]
+def for_programs(
+    chosen: CameraFormat, cameras: CameraSet, photos: Mapping[str, Path]
+) -> tuple[CameraSet, list[str]]:
+    """The cameras as a format's programs want them of photos that EXIF turns.
+
+    Returns:
+        The cameras, and a sentence where there is none such.
+    """
+    # MeshLab's writer makes upright copies of such photos.
+    if not chosen.is_of_stored_pixels or chosen.name == "meshlab":
+        return cameras, []
+    stored, losses = cameras_as_stored(cameras.cameras, photos)
+    return dataclasses.replace(cameras, cameras=stored), losses
 
 
 def photos_by_name(photos: Iterable[Path]) -> dict[str, Path]:
@@ -331,9 +344,10 @@ def photos_by_name(photos: Iterable[Path]) -> dict[str, Path]:
     """
     by_name: dict[str, Path] = {}
     for path in photos:
-        if path.name in by_name:
+        name = nfc(path.name)
+        if name in by_name:
             raise InputError(
-                f"{path.name} was given twice. Photos are told apart by file name."
+                f"{name} was given twice. Photos are told apart by file name."
             )
-        by_name[path.name] = path
+        by_name[name] = path
     return by_name

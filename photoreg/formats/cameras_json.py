@@ -36,6 +36,15 @@ class CameraFile:
         default_factory=dict
     )
     """Unknown keys of each camera, by photo name, kept."""
+    notes: tuple[str, ...] = ()
+    """A sentence for each thing that reading them had to assume."""
+
+    def of_photo(self, name: str) -> Camera | None:
+        """The camera of a photo, by file name; without regard to case if need be."""
+        if name in self.cameras:
+            return self.cameras[name]
+        alike = [n for n in self.cameras if n.casefold() == name.casefold()]
+        return self.cameras[alike[0]] if len(alike) == 1 else None
 
     def of_photos(self, photos: Sequence[Photo]) -> list[Camera]:
         """The camera of each photo, matched by file name, in the photos' order.
@@ -45,7 +54,7 @@ class CameraFile:
         """
         found = []
         for photo in photos:
-            camera = self.cameras.get(photo.name)
+            camera = self.of_photo(photo.name)
             if camera is None:
                 raise InputError(
                     f"The camera file has no camera for {photo.name}; it has "

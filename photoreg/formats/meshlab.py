@@ -12,7 +12,7 @@ its measures stand in the copy's name, the photo's own name in the label.
 import functools
 import io
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -34,6 +34,7 @@ from photoreg.formats.camera_set import (
     without,
 )
 from photoreg.formats.mark import COMMENT, marked_picture
+from photoreg.formats.orientation import cameras_as_stored
 from photoreg.formats.parsing import (
     camera_of,
     numbers,
@@ -205,7 +206,7 @@ def _rows(matrix: np.ndarray) -> str:
     return "\n" + "".join(_row(row) + "\n" for row in matrix)
 
 
-def load_meshlab(path: Path) -> dict[str, Camera]:
+def load_meshlab(path: Path, photos: Mapping[str, Path]) -> dict[str, Camera]:
     """Reads the cameras of a project, MeshLab's own ones included.
 
     A matrix that MeshLab shows the mesh by is undone: cameras are in the coordinates
@@ -228,7 +229,7 @@ def load_meshlab(path: Path) -> dict[str, Camera]:
     scale, Q, d = _placement(path.name, document)
 
     def placed() -> Iterator[tuple[str, Camera]]:
-        for name, camera in _cameras(path.name, document):
+        for name, camera in _cameras(path.name, document, photos):
             R = camera.R_cam_world @ Q
             t = (camera.R_cam_world @ d + camera.t_cam_world) / scale
             yield name, Camera(camera.K, R, t, camera.width, camera.height)
@@ -265,7 +266,9 @@ def _placement(
     return scale, M / scale, matrix[:3, 3]
 
 
-def _cameras(file: str, document: ElementTree.Element) -> Iterator[tuple[str, Camera]]:
+def _cameras(
+    file: str, document: ElementTree.Element, photos: Mapping[str, Path]
+) -> Iterator[tuple[str, Camera]]:
     for number, raster in enumerate(document.iter("MLRaster"), start=1):
         plane, lens = raster.find("Plane"), raster.find("VCGCamera")
         name = photo_name((plane.get("fileName") if plane is not None else "") or "")
@@ -281,6 +284,8 @@ def _cameras(file: str, document: ElementTree.Element) -> Iterator[tuple[str, Ca
             K[:2, 2] -= float(match["x"]), float(match["y"])
             camera = camera_of(where, K, camera.R_cam_world, camera.t_cam_world, *size)
             name = label
+            # Padded copies are upright; what is read here is of the stored pixels.
+            camera = cameras_as_stored({name: camera}, photos)[0][name]
         yield name, camera
 
 

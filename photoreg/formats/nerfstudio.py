@@ -35,7 +35,7 @@ from photoreg.formats.parsing import (
     refuse_distortion,
     size_px,
 )
-from photoreg.formats.photo_files import displayed_size, path_from
+from photoreg.formats.photo_files import path_from, stored_size
 from photoreg.formats.writing import write_files
 
 DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
@@ -80,7 +80,7 @@ def save_nerfstudio(path: Path, cameras: CameraSet, overwrite: bool = False) -> 
     return Saved(write_files({path: text}, cameras.files, overwrite), losses)
 
 
-def load_nerfstudio(path: Path, photos: Mapping[str, Path]) -> dict[str, Camera]:
+def load_nerfstudio(path: Path, photos: dict[str, Path]) -> dict[str, Camera]:
     """Reads transforms.json; sizes that it leaves out are taken from the photos.
 
     Raises:
@@ -95,7 +95,7 @@ def load_nerfstudio(path: Path, photos: Mapping[str, Path]) -> dict[str, Camera]
 
 
 def _cameras(
-    path: Path, document: dict[str, Any], frames: list[Any], photos: Mapping[str, Path]
+    path: Path, document: dict[str, Any], frames: list[Any], photos: dict[str, Path]
 ) -> Iterator[tuple[str, Camera]]:
     for number, frame in enumerate(frames, start=1):
         where = f"{path.name}, frame {number}"
@@ -113,7 +113,10 @@ def _cameras(
         refuse_distortion(
             (finite(values.get(key, 0.0), where, key) for key in DISTORTION), where
         )
-        width, height = _size(values, where, _photo(path, frame["file_path"], photos))
+        photo = _photo(path, frame["file_path"], photos)
+        if photo is not None:
+            photos[name] = photo
+        width, height = _size(values, where, photo)
         if "fl_x" in values:
             fx = finite(values["fl_x"], where, "fl_x")
         elif "camera_angle_x" in values:
@@ -137,7 +140,7 @@ def _cameras(
         yield name, camera_of(where, K, R, -R @ pose[:3, 3], width, height)
 
 
-def _photo(path: Path, file_path: str, photos: Mapping[str, Path]) -> Path | None:
+def _photo(path: Path, file_path: str, photos: dict[str, Path]) -> Path | None:
     given = photos.get(photo_name(file_path))
     beside = path.parent / file_path
     return given or (beside if "\0" not in file_path and beside.is_file() else None)
@@ -151,4 +154,4 @@ def _size(values: Mapping[str, Any], where: str, photo: Path | None) -> tuple[in
             f"{where}: the file does not tell the photo's size (w, h), and the photo is "
             "not beside it. Give the photos too."
         )
-    return displayed_size(photo)
+    return stored_size(photo)

@@ -1,54 +1,50 @@
 """Photos as files beside cameras: their displayed size, and paths to them."""
 
 import os
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
-from PIL import ExifTags, Image
-
 from photoreg.checks import check_input_file
-from photoreg.errors import InputError
-from photoreg.photo import PHOTO_SUFFIXES
+from photoreg.photo_decoding import PhotoHeader, read_header
+from photoreg.photo_formats import is_photo
+from photoreg.words import nfc
 
 
 def displayed_size(path: Path) -> tuple[int, int]:
     """Width and height of a photo as displayed, from its header alone.
 
     Raises:
-        InputError: if it is not a readable JPEG, PNG or TIFF.
+        InputError: if it is not a photo that can be read.
     """
-    width, height, orientation = _header(path)
-    return (height, width) if orientation >= 5 else (width, height)
+    return photo_header(path).displayed_size
+
+
+def stored_size(path: Path) -> tuple[int, int]:
+    """Width and height of a photo as stored, whatever EXIF says, from its header alone.
+
+    Raises:
+        InputError: if it is not a photo that can be read.
+    """
+    header = photo_header(path)
+    return header.width, header.height
 
 
 def is_turned(path: Path) -> bool:
     """Whether EXIF asks to show the photo otherwise than its pixels are stored.
 
     Raises:
-        InputError: if it is not a readable JPEG, PNG or TIFF.
+        InputError: if it is not a photo that can be read.
     """
-    return _header(path)[2] != 1
+    return photo_header(path).orientation != 1
 
 
-def _header(path: Path) -> tuple[int, int, int]:
-    check_input_file(path, "photo")
-    try:
-        with warnings.catch_warnings():
-            # Only the header is read: a huge photo is no danger here.
-            warnings.simplefilter("ignore")
-            with Image.open(path, formats=("JPEG", "PNG", "TIFF")) as image:
-                orientation = image.getexif().get(ExifTags.Base.Orientation, 1)
-                return (
-                    image.width,
-                    image.height,
-                    orientation if orientation in range(1, 9) else 1,
-                )
-    except Exception as error:
-        raise InputError(
-            f"{path.name} could not be read as a JPEG, PNG or TIFF photo. "
-            "Is it a picture, and complete?"
-        ) from error
+def photo_header(path: Path) -> PhotoHeader:
+    """Size and turn of a photo, from its header alone.
+
+    Raises:
+        InputError: if it is not a photo that can be read.
+    """
+    return read_header(check_input_file(path, "photo"))
 
 
 def photo_of_stem(
@@ -57,8 +53,8 @@ def photo_of_stem(
     """Name and path of the photo ``stem`` with any suffix, given or in ``folder``."""
     beside = sorted(folder.iterdir()) if folder.is_dir() else []
     for name, path in [*photos.items(), *((path.name, path) for path in beside)]:
-        if Path(name).stem == stem and Path(name).suffix.lower() in PHOTO_SUFFIXES:
-            return name, path
+        if nfc(Path(name).stem) == nfc(stem) and is_photo(Path(name)):
+            return nfc(name), path
     return None
 
 

@@ -10,7 +10,7 @@ References:
     mvs-texturing, which takes 0.5 off the pixels.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 
 from photoreg.camera import Camera
@@ -29,7 +29,7 @@ from photoreg.formats.parsing import (
     read_text,
     refuse_distortion,
 )
-from photoreg.formats.photo_files import displayed_size, photo_of_stem
+from photoreg.formats.photo_files import photo_of_stem, stored_size
 from photoreg.formats.writing import Content, make_folder, write_files
 
 
@@ -78,7 +78,7 @@ def _copies(folder: Path, cameras: CameraSet) -> dict[Path, Content]:
     return copies
 
 
-def load_texrecon(folder: Path, photos: Mapping[str, Path]) -> dict[str, Camera]:
+def load_texrecon(folder: Path, photos: dict[str, Path]) -> dict[str, Camera]:
     """Reads every .cam of a folder whose photo is among ``photos`` or beside it.
 
     Raises:
@@ -90,7 +90,7 @@ def load_texrecon(folder: Path, photos: Mapping[str, Path]) -> dict[str, Camera]
 
 
 def _cameras(
-    paths: list[Path], photos: Mapping[str, Path]
+    paths: list[Path], photos: dict[str, Path]
 ) -> Iterator[tuple[str, Camera]]:
     for path in paths:
         where = path.name
@@ -112,7 +112,8 @@ def _cameras(
                 "Give the photos too."
             )
         name, photo = found
-        width, height = displayed_size(photo)
+        photos[name] = photo
+        width, height = stored_size(photo)
         if width / height * aspect < 1.0:
             fx, fy = focal * height / aspect, focal * height
         else:
