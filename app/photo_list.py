@@ -6,6 +6,7 @@ from app.points import index_of_photo
 from app.session import Change, with_document, with_entry, with_photo_removed
 from app.state import State
 from photoreg.errors import InputError
+from photoreg.names import presentable
 
 MAX_NAME = 120
 
@@ -20,6 +21,11 @@ def renamed(old: str, new: str) -> Change:
             raise InputError(
                 f"A photo's name should have 1 to {MAX_NAME} characters and no slash, "
                 f"but is {name[:40]!r}."
+            )
+        if presentable(name) != name:
+            raise InputError(
+                f"The name {presentable(name)[:40]} holds characters that cannot be "
+                "shown or kept. Leave out what stands with % in it."
             )
         if any(entry.name == name for entry in state.document.photos):
             raise InputError(

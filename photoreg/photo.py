@@ -10,6 +10,7 @@ from jaxtyping import Bool, UInt8
 from photoreg.checks import check_input_file
 from photoreg.errors import InputError
 from photoreg.limits import Limits
+from photoreg.names import presentable
 from photoreg.photo_decoding import decode
 from photoreg.sources import SourceFile, source_file
 from photoreg.words import nfc
@@ -114,7 +115,7 @@ def load_photo(path: Path | str, limits: Limits | None = None) -> Photo:
     decoded = decode(path, limits)
     focal = decoded.facts.focal
     return Photo(
-        path.name,
+        presentable(path.name),
         decoded.pixels,
         decoded.mask,
         None if focal is None else focal.px,

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from photoreg.errors import InputError, OutputError
+from photoreg.names import path_of, stored_path
 from photoreg.project_folder import KEPT, has_content, partial_name, write_new
 from photoreg.sources import SourceFile, source_file
 
@@ -67,7 +68,7 @@ class ProjectFiles:
         ).fetchone()
         if row is None:
             raise InputError(f"The project knows no file {key!s:.12}; it is damaged.")
-        return SourceFile(self._folder / row[0], row[1], row[2])
+        return SourceFile(self._folder / path_of(row[0]), row[1], row[2])
 
     def problem(self, key: str) -> FileProblem | None:
         """What is wrong with a file; reads all of it. None: nothing."""
@@ -140,10 +141,10 @@ class ProjectFiles:
     def _is_kept(self, path: Path) -> bool:
         return path.is_relative_to(self._folder / KEPT)
 
-    def _stored_path(self, path: Path) -> str:
+    def _stored_path(self, path: Path) -> str | bytes:
         with contextlib.suppress(ValueError):
             path = path.relative_to(self._folder)
-        return path.as_posix()
+        return stored_path(path)
 
 
 def _fingerprint(path: Path) -> SourceFile:

@@ -109,11 +109,13 @@
     photoreg.send("batch", { files: files.length });
     try {
       for (const file of files) {
+        // Half a character in a name cannot be sent.
+        const name = file.name.toWellFormed?.() ?? file.name;
         const transfer = new DataTransfer();
-        transfer.items.add(file);
+        transfer.items.add(name === file.name ? file : new File([file], name));
         const box = input();
         box.files = transfer.files;
-        sending = file.name;
+        sending = name;
         box.dispatchEvent(new Event("change", { bubbles: true }));
         while (sending !== null) await later(30);
       }

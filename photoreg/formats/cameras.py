@@ -24,6 +24,7 @@ from photoreg.formats.opencv_yaml import load_opencv, save_opencv
 from photoreg.formats.orientation import cameras_as_displayed, cameras_as_stored
 from photoreg.formats.parsing import read_json
 from photoreg.formats.texrecon import load_texrecon, save_texrecon
+from photoreg.names import presentable
 from photoreg.words import nfc
 
 FormatName = Literal[
@@ -344,7 +345,7 @@ def photos_by_name(photos: Iterable[Path]) -> dict[str, Path]:
     """
     by_name: dict[str, Path] = {}
     for path in photos:
-        name = nfc(path.name)
+        name = presentable(nfc(path.name))
         if name in by_name:
             raise InputError(
                 f"{name} was given twice. Photos are told apart by file name."
