@@ -1,5 +1,6 @@
 """Starts the app and keeps it running until Ctrl-C."""
 
+import contextlib
 import logging
 import os
 import shlex
@@ -173,11 +174,16 @@ def _wait_for_the_end() -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         # Said explicitly: a shell starts background programs deaf to Ctrl-C.
         signal.signal(number, lambda *_: ended.set())
+    # The terminal was shut; under nohup that means nothing.
+    hang_up = getattr(signal, "SIGHUP", None)
+    if hang_up is not None and signal.getsignal(hang_up) is not signal.SIG_IGN:
+        signal.signal(hang_up, lambda *_: ended.set())
     # In steps: on Windows a wait without end is not interrupted.
     while not ended.wait(0.5):
         pass
 
 
 def _say(text: str) -> None:
-    sys.stdout.write(text + "\n")
-    sys.stdout.flush()
+    with contextlib.suppress(OSError):  # The terminal may have gone.
+        sys.stdout.write(text + "\n")
+        sys.stdout.flush()

@@ -23,6 +23,7 @@ from app.controls import BRAND, guarded, guarded_client, has_left, notify, put, 
 from app.doors import Doors, start_viser
 from app.failures import log_failure
 from app.hands import Hands
+from app.hearing_out import hear_out
 from app.help import Help
 from app.hints import button_hints
 from app.meter import meter_html
@@ -118,7 +119,8 @@ class Page:
         return self._viewports.get(client_id)
 
     def close(self) -> None:
-        """Stops serving."""
+        """Stops serving; what browsers have sent by now still counts."""
+        hear_out(self.server)
         self._closed = True
         self._paint_soon()
         self._painter.join(timeout=5.0)

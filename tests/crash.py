@@ -4,7 +4,8 @@
 is a process of its own, with a page, a worker and a project. It goes on with the work
 where the project was left, and tells what it has done and what the page shows as done.
 Then the worker, and after it the server, get SIGKILL. What the project holds afterwards
-must be at least what the page has shown, and be whole.
+must be at least what the page has shown, and be whole. In every folder that it uses lie
+files, links and pipes of somebody's own, which must be as they were after each kill.
 """
 
 import argparse
@@ -45,6 +46,7 @@ from photoreg.photo import load_photo
 from photoreg.project import Project
 from photoreg.scene_options import SceneOptions
 from photoreg.synthetic import make_scene, write_scene
+from tests.test_foreign_files import imprint
 
 MAX_LIFE_S = 1.5
 """The kills come within this time after the server serves."""
@@ -59,6 +61,16 @@ N_BACK = 50
 """Steps back that are compared."""
 
 START_S, TOLD_S = 120.0, 60.0
+
+FOREIGN = (
+    "thesis.txt",
+    f".photoreg-{'0' * 32}.part",
+    "link.png",
+    "link",
+    "pipe",
+    "mine",
+)
+"""What somebody else puts into each folder."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -95,6 +107,32 @@ class Crash:
         self.n_steps = self.n_shown = 0
         self.n_runs = self.n_runs_resumable = self.n_runs_ended = 0
         self.lost: list[str] = []
+        self._foreign: dict[Path, tuple[int, str]] = {}
+
+    def _put_foreign(self) -> None:
+        """Puts somebody's own files into all folders that are there and lack them."""
+        work, data = self._folder, Path(os.environ["PHOTOREG_DATA"])
+        outside = work.with_name("outside")
+        outside.mkdir(exist_ok=True)
+        (outside / "seen again.png").write_bytes(b"mine")
+        folders = [work, work / "files", *sorted((work / "files").glob("[0-9]/"))]
+        for folder in (*folders, self._world, data, data / "projects", outside):
+            if folder.is_dir() and folder / "thesis.txt" not in self._foreign:
+                (folder / "thesis.txt").write_bytes(b"five years of work")
+                (folder / f".photoreg-{'0' * 32}.part").write_bytes(b"partly mine")
+                (folder / "link.png").symlink_to(outside / "seen again.png")
+                (folder / "link").symlink_to(outside)
+                os.mkfifo(folder / "pipe")
+                (folder / "mine").mkdir()
+                (folder / "mine" / "seen again.png").write_bytes(b"mine, too")
+                for path in (*folder.iterdir(), *(folder / "mine").iterdir()):
+                    if path.name in FOREIGN or path.parent.name == "mine":
+                        self._foreign[path] = imprint(path)
+
+    def _look_for_foreign(self) -> None:
+        for path, before in self._foreign.items():
+            if not os.path.lexists(path) or imprint(path) != before:
+                self.lost.append(f"life {self.n_server_kills}: {path} of somebody else")
 
     def one_life(self) -> None:
         """Starts a server, kills its worker, then itself, and looks."""
@@ -115,7 +153,9 @@ class Crash:
                 os.waitpid(pid, 0)
             lines.rest()
         self.n_server_kills += 1
+        self._look_for_foreign()
         self._look(lines.whole, has_run)
+        self._put_foreign()
 
     def _wait_and_kill(self, lines: "Lines", has_run: bool) -> None:
         """Kills the worker, and waits for the moment to kill the server ``pid``."""
@@ -198,6 +238,7 @@ class Crash:
             f"{self.n_steps} steps done, {self.n_shown} states shown; of {self.n_runs} "
             f"refinements that were shown at work {self.n_runs_resumable} could go on "
             f"where they were and {self.n_runs_ended} had come to their end.",
+            f"{len(self._foreign)} files of somebody else lie in the folders.",
             f"Lost: {len(self.lost)}.",
             *self.lost,
         ]

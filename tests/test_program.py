@@ -2,17 +2,24 @@
 
 import contextlib
 import http.client
+import json
+import queue
 import re
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import pytest
 
+from app.autosave import DOCUMENT_TYPES
 from photoreg import cli
 from photoreg.__main__ import app_command
+from photoreg.project import Project
+from tests.bench.wire import listening
 
 GIVEN = "a-token-of-the-tests-0123456789"
 
@@ -84,6 +91,35 @@ def test_alone_on_this_machine_it_asks_for_nothing(tmp_path: Path) -> None:
     with program(tmp_path) as (_, lines, port):
         assert f"photoreg is at http://127.0.0.1:{port} (Ctrl-C" in lines[-1]
         assert status(port, "/") == 200
+
+
+@pytest.mark.parametrize("number", ["SIGHUP", "SIGTERM"])
+def test_a_change_sent_in_the_moment_of_its_end_is_kept(
+    tmp_path: Path, number: str
+) -> None:
+    bus: queue.Queue[str] = queue.Queue()
+
+    def hear(message: dict[str, Any]) -> None:
+        if message["type"] == "GuiTextMessage" and message["props"]["label"] == "page":
+            bus.put(message["uuid"])
+
+    words = {"act": "rename", "photo": "shell-left.jpg", "name": "renamed.jpg"}
+    with program(tmp_path) as (process, _, port):
+        with listening(f"http://127.0.0.1:{port}", hear) as send:
+            update = {
+                "type": "GuiUpdateMessage",
+                "uuid": bus.get(timeout=60.0),
+                "updates": {"value": json.dumps({**words, "count": 1, "at": 1})},
+            }
+            send(msgspec.msgpack.encode(update))
+            process.send_signal(getattr(signal, number))
+            rest, _ = process.communicate(timeout=60)
+        assert process.returncode == 0
+        assert rest.splitlines()[-1] == "Stopped."
+    project = Project(tmp_path / "work", DOCUMENT_TYPES)
+    first, steps, now = project.read_history()
+    project.close()
+    assert steps[now - first].document.photos[0].name == "renamed.jpg"
 
 
 @pytest.mark.parametrize(
