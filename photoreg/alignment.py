@@ -212,6 +212,7 @@ def polish_cameras(
         )
     )
     directions = free_directions(increments, freedom)
+    limits = np.concatenate([increment.limits for increment in increments])
     x_start = np.concatenate(
         [inc.of_camera(c) for inc, c in zip(increments, cameras, strict=True)]
     )
@@ -236,7 +237,7 @@ def polish_cameras(
                 # In the first round the scores are dominated by the misalignment.
                 terms = [term.tempered(x) for term in terms]
             damping = Damping(max_iterations=config.iterations)
-            for step in minimise([prior, *terms], x, damping, directions):
+            for step in minimise([prior, *terms], x, damping, directions, limits):
                 x = step.x
                 done += step.iteration > 0
                 latest = PolishStep(

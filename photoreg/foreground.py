@@ -19,7 +19,7 @@ from photoreg.genes import GeneMap
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.photometric import camera_rays, surface_view
-from photoreg.silhouette import colour_model
+from photoreg.silhouette import colour_model, resized_mask
 
 SIDE_PX = 512
 """Photos are reduced to this many pixels on the longer side at most."""
@@ -107,17 +107,18 @@ def _nearest_covered(covered: np.ndarray) -> np.ndarray:
 def _evidence(
     photo: Photo, covered: np.ndarray, band_px: float
 ) -> Float[np.ndarray, "h w"]:
-    """Of each pixel: 1 surely the object's colour, -1 surely the surroundings'."""
+    """Of each pixel: 1 surely the object's colour, -1 surely the surroundings'.
+
+    0 where the photo does not count.
+    """
     size = (covered.shape[1], covered.shape[0])
     pixels = cv2.resize(photo.pixels, size, interpolation=cv2.INTER_AREA)
     values = cv2.GaussianBlur(pixels.astype(np.float32), (0, 0), BLUR_PX)
-    log_ratio = colour_model(values, covered, band_px).of(values)
+    mask = resized_mask(photo, size)
+    log_ratio = colour_model(values, covered, band_px, mask).of(values)
     evidence = np.tanh(0.5 * log_ratio)
-    if photo.mask is not None:
-        inside = cv2.resize(
-            photo.mask.astype(np.float32), size, interpolation=cv2.INTER_AREA
-        )
-        evidence = np.where(inside < 0.5, -1.0, evidence)
+    if mask is not None:
+        evidence = np.where(mask, evidence, 0.0)
     return np.ascontiguousarray(evidence, dtype=np.float32)
 
 

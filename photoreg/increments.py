@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from photoreg.camera import Camera
+from photoreg.camera import MAX_FOCAL_PX, Camera
 from photoreg.freedom import NOTHING_HELD, Freedom, Held
 
 N_INCREMENTS = 9
@@ -29,6 +29,15 @@ NAMES = (
     "principal point y",
 )
 """What each increment moves, in plain words, in order."""
+
+MAX_TURN_RAD = 0.5 * np.pi
+MAX_SHIFT_SHARE = 0.75
+MAX_FOCAL_FACTOR = 4.0
+MAX_PRINCIPAL_SHARE = 0.5
+"""How far the numbers may take a camera from its base: the turn about each axis, the
+shift along each as a share of the distance, the focal length up or down, the principal
+point as a share of the photo's size. It can still be a camera of the same photo there;
+beyond, the object is behind it, or numbers overflow."""
 
 N_GEOMETRY = 36
 """Length of the vector in which a camera goes to the kernels; see ``geometry``."""
@@ -92,6 +101,22 @@ class Increments:
             ]
         )
         return np.where(self.is_free, units, 0.0)
+
+    @property
+    def limits(self) -> Float[np.ndarray, "9"]:
+        """Largest size of each number: within, every vector is a camera."""
+        base, units = self.base, self.units
+        # No base comes near to it but one that is absurd already.
+        focal = min(
+            MAX_FOCAL_FACTOR, MAX_FOCAL_PX / float(np.abs(base.K[:2, :2]).max())
+        )
+        most = np.array(
+            [MAX_TURN_RAD] * 3
+            + [MAX_SHIFT_SHARE * self.distance] * 3
+            + [np.log(focal)]
+            + [MAX_PRINCIPAL_SHARE * base.width, MAX_PRINCIPAL_SHARE * base.height]
+        )
+        return np.divide(most, units, out=np.full(9, np.inf), where=units > 0.0)
 
     @property
     def is_free(self) -> Bool[np.ndarray, "9"]:

@@ -21,7 +21,7 @@ from photoreg.kernels_polish import (
 from photoreg.light import fit_light
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
-from photoreg.polish import Quadratic, overdispersion, own_step, scatter
+from photoreg.polish import Quadratic, overdispersion, own_end, scatter
 from photoreg.raster import render_geometry
 
 N_CHUNKS = 32
@@ -391,8 +391,15 @@ class PairTerm:
         return whole
 
     def _own_scores(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Gradients (cells, 3, 18) and normals (3, 18, 18) where this term would go."""
-        _, gradients, normals = self._sums(x + own_step(self.linearise(x)))
+        """Gradients (cells, 3, 18) and normals (3, 18, 18) where this term would go.
+
+        Where it is, if nothing can be reckoned there.
+        """
+        limits = np.full(len(x), np.inf)
+        limits[self._rows] = np.concatenate([one.limits for one in self.increments])
+        _, gradients, normals = self._sums(own_end(self.linearise(x), x, limits))
+        if not (np.isfinite(gradients).all() and np.isfinite(normals).all()):
+            _, gradients, normals = self._sums(x)
         return gradients, normals.sum(axis=0)
 
     @property

@@ -24,6 +24,15 @@ class Quadratic:
     normal: Float[np.ndarray, "p p"]
     """Gauss-Newton second derivative: symmetric, not negative."""
 
+    @property
+    def is_finite(self) -> bool:
+        """Whether all of it can be reckoned with."""
+        return bool(
+            np.isfinite(self.cost)
+            and np.isfinite(self.gradient).all()
+            and np.isfinite(self.normal).all()
+        )
+
     def along(self, directions: Float[np.ndarray, "p q"]) -> "Quadratic":
         """The same model for dx = directions . dy, in dy."""
         return Quadratic(
@@ -96,11 +105,14 @@ def minimise(
     x: Float[np.ndarray, "p"],
     damping: Damping,
     directions: Float[np.ndarray, "p q"] | None = None,
+    limits: Float[np.ndarray, "p"] | None = None,
 ) -> Iterator[Iterate]:
     """Damped Gauss-Newton from ``x``; yields the start and every accepted step.
 
     The cost of what is yielded never rises. The damping follows the ratio of actual
-    to predicted gain. With ``directions``, x moves along their columns only.
+    to predicted gain. With ``directions``, x moves along their columns only. With
+    ``limits``, a step that takes a number beyond its limit on either side of 0, and not
+    nearer than it was, is refused like one that raises the cost.
 
     References:
         H. B. Nielsen, "Damping Parameter in Marquardt's Method", 1999.
@@ -108,6 +120,7 @@ def minimise(
     x = np.array(x, dtype=np.float64)
     if directions is None:
         directions = np.eye(len(x))
+    limits = np.full(len(x), np.inf) if limits is None else np.maximum(limits, abs(x))
     model = total(terms, x)
     yield Iterate(0, x, model)
     share, growth = damping.initial, 2.0
@@ -123,9 +136,12 @@ def minimise(
         if not predicted > 0.0:
             return
         # With its derivatives at once: three steps of four are accepted.
-        there = total(terms, x + directions @ step)
-        gained = model.cost - there.cost
-        if not gained > 0.0:
+        candidate = x + directions @ step
+        there, gained = model, -np.inf
+        if (np.abs(candidate) <= limits).all():
+            there = total(terms, candidate)
+            gained = model.cost - there.cost
+        if not (gained > 0.0 and there.is_finite):
             share, growth = share * growth, growth * 2.0
             if np.abs(step).max() < damping.step_tolerance:
                 return
@@ -133,7 +149,7 @@ def minimise(
         ratio = gained / predicted
         share *= max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3)
         share, growth = max(share, 1e-7), 2.0
-        x = x + directions @ step
+        x = candidate
         before, model = model.cost, there
         yield Iterate(iteration, x, model)
         if np.abs(
@@ -144,13 +160,19 @@ def minimise(
             return
 
 
-def own_step(model: Quadratic) -> Float[np.ndarray, "p"]:
-    """Where one term alone would go, held by one unit of every parameter.
+def own_end(
+    model: Quadratic, x: Float[np.ndarray, "p"], limits: Float[np.ndarray, "p"]
+) -> Float[np.ndarray, "p"]:
+    """Where one term alone would go from ``x``, held by one unit of every parameter.
+
+    No number goes beyond its limit on either side of 0, if it was not there before.
 
     A term's noise is measured there: where terms pull against each other, the pull
     would else pass for noise, and the term that gives way would give way for ever.
     """
-    return -np.linalg.solve(model.normal + np.eye(len(model.gradient)), model.gradient)
+    step = -np.linalg.solve(model.normal + np.eye(len(x)), model.gradient)
+    limits = np.maximum(limits, np.abs(x))
+    return np.clip(x + step, -limits, limits)
 
 
 MIN_GROUPS = 20
@@ -174,7 +196,7 @@ def overdispersion(
     together; weighted by it, colours that were right to 0.2 px gave way to an outline.
 
     Args:
-        scores: The gradient's part of each cell, after ``own_step``.
+        scores: The gradient's part of each cell, at ``own_end``.
         normal: The term's normal matrix.
         groupings: Group of each cell; the grouping with the largest ratio counts.
     """

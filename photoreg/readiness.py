@@ -1,6 +1,7 @@
 """Whether photos and rough cameras can be refined at all, told before it is tried."""
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 
 import cv2
@@ -11,7 +12,9 @@ from photoreg.camera import Camera
 from photoreg.errors import InputError
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
+from photoreg.photometric import surface_view
 from photoreg.sampling import SurfaceSamples, sample_surface
+from photoreg.silhouette import SEGMENT_POINTS, find_edges, find_rim
 from photoreg.visibility import visible
 
 N_SAMPLES = 3_000
@@ -20,6 +23,17 @@ MIN_COSINE = 0.25
 
 FEW = 0.1
 """Shares of overlap below this make a refinement doubtful."""
+
+MIN_UNMASKED = 0.025
+"""Least share of the surface in a photo that its mask leaves: the polish compares no
+photos over fewer than 200 of its 8,000 points."""
+
+RIM_POINTS = 1200
+MIN_EDGES = 4 * SEGMENT_POINTS
+"""Fewer rim points with an edge than this are no outline to the polish."""
+EDGE_REACH_PX = 20.0
+"""How far edges are looked for, in pixels of a photo reduced to 512: as far as the
+coarsest level of the polish does."""
 
 SIDE_PX = 512
 FINE_PX, COARSE_PX = 1.0, 6.0
@@ -48,11 +62,40 @@ class Readiness:
     """Photos with too little texture on the surface."""
     is_inside_out: bool = False
     """Whether all cameras would see far more if the mesh's faces were turned."""
+    masked: tuple[str, ...] = ()
+    """Photos whose masks leave hardly anything of the surface."""
+    featureless: tuple[str, ...] = ()
+    """Photos with neither texture nor edges, as black ones."""
+    same: tuple[tuple[str, str], ...] = ()
+    """Photos that show one picture, pair by pair."""
 
     @property
     def is_possible(self) -> bool:
         """Whether a refinement can start."""
-        return self.overlap > 0.0 and not self.is_inside_out
+        return self.overlap > 0.0 and not self.is_inside_out and not self.refusals
+
+    @property
+    def refusals(self) -> tuple[str, ...]:
+        """Why nothing could be measured in the photos at all, one sentence each."""
+        return (
+            *(
+                f"The mask of {name} leaves hardly anything of the surface, so nothing "
+                "can be compared there: clear the mask or take less away, or leave the "
+                "photo out."
+                for name in self.masked
+            ),
+            *(
+                f"{name} shows neither texture on the surface nor an edge near its "
+                "outline, so no camera can be found for it: leave the photo out, or take "
+                "another."
+                for name in self.featureless
+            ),
+            *(
+                f"{first} and {second} are the same picture, so comparing them tells "
+                "nothing: leave one of them out."
+                for first, second in self.same
+            ),
+        )
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -62,11 +105,12 @@ class Readiness:
                 "The mesh is inside out: its triangles turn their backs to the cameras. "
                 "Flip its normals in the program that made it, and open it again.",
             )
-        found = [
+        found = list(self.refusals)
+        found += [
             f"The camera of {name} sees nothing of the surface: align it in tab 2."
             for name in self.blind
         ]
-        if self.overlap == 0.0:
+        if self.overlap == 0.0 and not self.masked:
             found.append(
                 "No part of the surface is seen by two photos, so they cannot be "
                 "compared: align the cameras, or take photos from nearer viewpoints."
@@ -86,6 +130,7 @@ class Readiness:
             f"{name} shows hardly any texture on the surface: colours cannot decide "
             "there; only the outline can."
             for name in self.plain
+            if name not in self.featureless
         ]
         return tuple(found)
 
@@ -110,11 +155,19 @@ def check_readiness(
         )
     samples = sample_surface(mesh, N_SAMPLES, 0)
     seen = visible(samples, cameras, mesh, "rays", MIN_COSINE)
-    either, shared = seen.any(axis=0), seen.sum(axis=0) >= 2
-    blind, alone, plain = [], [], []
+    masked, counted = [], []
     for photo, camera, own in zip(photos, cameras, seen, strict=True):
-        if not own.any():
+        counted.append(own & _in_mask(photo, camera, samples.points))
+        if counted[-1].sum() < MIN_UNMASKED * own.sum():
+            masked.append(photo.name)
+    facing, seen = seen, np.array(counted)
+    either, shared = seen.any(axis=0), seen.sum(axis=0) >= 2
+    blind, alone, plain, featureless = [], [], [], []
+    for photo, camera, in_view, own in zip(photos, cameras, facing, seen, strict=True):
+        if not in_view.any():
             blind.append(photo.name)
+            continue
+        if photo.name in masked:
             continue
         with_others = own & shared
         if with_others.sum() < FEW * own.sum():
@@ -122,13 +175,55 @@ def check_readiness(
         points = samples.points[with_others if with_others.any() else own]
         if texture_contrast(photo, camera, points) < MIN_CONTRAST:
             plain.append(photo.name)
+            if _n_edges(mesh, photo, camera) < MIN_EDGES:
+                featureless.append(photo.name)
     overlap = float(shared.sum() / max(1, either.sum()))
     return Readiness(
         overlap,
         tuple(blind),
         tuple(alone),
         tuple(plain),
-        _is_inside_out(samples, mesh, cameras, seen),
+        _is_inside_out(samples, mesh, cameras, facing),
+        tuple(masked),
+        tuple(featureless),
+        tuple(
+            (one.name, other.name)
+            for one, other in itertools.combinations(photos, 2)
+            if _is_same_picture(one, other)
+        ),
+    )
+
+
+def _in_mask(
+    photo: Photo, camera: Camera, points: Float[np.ndarray, "n 3"]
+) -> Bool[np.ndarray, "n"]:
+    """Whether the photo counts where it shows the points; true where it does not."""
+    if photo.mask is None:
+        return np.ones(len(points), dtype=bool)
+    pixels = np.nan_to_num(camera.project(points), nan=-1.0)
+    inside = camera.contains(pixels)
+    columns, rows = np.rint(np.where(inside[:, None], pixels, 0.0)).astype(int).T
+    return ~inside | photo.mask[rows, columns]
+
+
+def _n_edges(mesh: Mesh, photo: Photo, camera: Camera) -> int:
+    """How many points of the mesh's rim have an edge of the photo within reach."""
+    small = photo.resized(SIDE_PX)
+    view = surface_view(mesh, camera.resized(small.width, small.height))
+    rim = find_rim(mesh, view, RIM_POINTS)
+    if len(rim.points) < MIN_EDGES:
+        return 0
+    edges = find_edges(
+        small, view, rim, EDGE_REACH_PX * max(view.covered.shape) / SIDE_PX
+    )
+    return int(np.isfinite(edges.offset_px).sum())
+
+
+def _is_same_picture(one: Photo, other: Photo) -> bool:
+    a, b = one.pixels, other.pixels
+    # A few rows first: other photos differ there, and large ones take time.
+    return (
+        a.shape == b.shape and np.array_equal(a[::64], b[::64]) and np.array_equal(a, b)
     )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Generator, Iterator, Sequence
 
 import numpy as np
 
-from photoreg.agreement import Disagreement, disagreement
+from photoreg.agreement import Disagreement, against_chance, disagreement
 from photoreg.alignment import PolishStep, polish_cameras
 from photoreg.camera import Camera
 from photoreg.checkpoint import Checkpoint, problem_digest
@@ -17,10 +17,11 @@ from photoreg.genes import GeneMap
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.presets import OBJECT_BOX, PresetName, RegistrationConfig
+from photoreg.readiness import check_readiness
 from photoreg.sampling import sample_surface
 from photoreg.search import Search
 from photoreg.uncertainty import Uncertainty, estimate_uncertainty
-from photoreg.verdict import Verdict, judge
+from photoreg.verdict import Verdict, is_better, judge
 from photoreg.visibility import visible
 from photoreg.words import listed
 
@@ -69,7 +70,8 @@ def refine(
 
     Raises:
         InputError: if photos and cameras do not match, if ``freedom`` leaves nothing
-            to move, or if ``resume`` is of another refinement.
+            to move, if ``resume`` is of another refinement, or if there is nothing to
+            compare: see ``Readiness.refusals``.
         RefinementError: if no camera sees the surface, or no two see a common part.
     """
     if len(photos) < 2:
@@ -137,6 +139,7 @@ class _Run:
     def events(self) -> Generator[Event, None, None]:
         yield self._progress("prepare", "getting ready", 0.0, np.inf, np.inf)
         self._leave_out_the_blind()
+        self._refuse_the_empty()
         search = Search(self.mesh, self.photos, self.start, self.config, self.freedom)
         self._clock("prepare")
         yield from self._search(search)
@@ -197,6 +200,16 @@ class _Run:
                 f"{100 * shared / either:.0f} % is seen twice, so the answer rests on "
                 "little. Align better, or take photos from nearer viewpoints."
             )
+
+    def _refuse_the_empty(self) -> None:
+        """Ends the run where the photos hold nothing to compare.
+
+        Raises:
+            InputError: if a photo is masked nearly all over the surface, shows neither
+                texture nor edges, or is another one again.
+        """
+        for refusal in check_readiness(self.mesh, self.photos, self.start).refusals:
+            raise InputError(refusal)
 
     def _all(self, cameras: Sequence[Camera]) -> tuple[Camera, ...]:
         """One camera a photo given: those left out stay where they were."""
@@ -269,6 +282,7 @@ class _Run:
         }
         self.start_cost = fits["start"].total
         answer: PolishStep | None = None
+        judged: Disagreement | None = None
         for way in sorted(ways, key=lambda way: (fits[way].total, way)):
             last: PolishStep | None = None
             for step, event in self._polish_from(ways[way], fits[way], answer):
@@ -278,18 +292,49 @@ class _Run:
             assert last.disagreement is not None
             if answer is None or last.disagreement.total < self.cost:
                 answer, self.cost = last, last.disagreement.total
-                self.verdict = judge(last.disagreement, self._names)
+                judged = self._against_chance(last.disagreement, last.cameras)
+                self.verdict = judge(judged, self._names)
             self.best = answer.cameras
             if self.verdict is not None and self.verdict.is_credible:
                 break
         assert answer is not None
+        assert judged is not None
         self.warnings += answer.warnings
-        self.uncertainty = estimate_uncertainty(self.mesh, answer, self._names)
         self.reason += " The polish is done."
+        if self._is_no_better(judged, fits["start"]):
+            # How sure the polish was says nothing of the start.
+            expected_error_px = None
+        else:
+            self.uncertainty = estimate_uncertainty(self.mesh, answer, self._names)
+            expected_error_px = self.uncertainty.expected_error_px
         yield dataclasses.replace(
             self._progress("polish", "polish done", 1.0, answer.cost, answer.cost),
-            expected_error_px=self.uncertainty.expected_error_px,
+            expected_error_px=expected_error_px,
         )
+
+    def _is_no_better(self, answer: Disagreement, start: Disagreement) -> bool:
+        """Whether the answer is no better than the start, which is then kept.
+
+        Only of an answer that does not convince, by what the verdict measures: the
+        polish's own measure falls at wrong ends too.
+        """
+        if self.verdict is None or self.verdict.is_credible:
+            return False
+        before = self._against_chance(start, self.start)
+        if is_better(answer, before):
+            return False
+        self.best, self.cost = self.start, self.start_cost
+        self.verdict = judge(before, self._names)
+        self.reason = (
+            "The start was kept: colours and outlines fit the photos no better with the "
+            "cameras found from it."
+        )
+        return True
+
+    def _against_chance(
+        self, fit: Disagreement, cameras: Sequence[Camera]
+    ) -> Disagreement:
+        return against_chance(fit, self.mesh, self.reduced, cameras)
 
     def _polish_from(
         self, cameras: tuple[Camera, ...], fit: Disagreement, answer: PolishStep | None

@@ -23,7 +23,7 @@ from photoreg.kernels_polish import rim_rows
 from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.photometric import SurfaceView, camera_rays
-from photoreg.polish import Quadratic, overdispersion, own_step, scatter
+from photoreg.polish import Quadratic, overdispersion, own_end, scatter
 
 CUT = 2.0
 """Scale of the Cauchy cost in residual sigmas."""
@@ -133,11 +133,12 @@ def colour_model(
     pixels: Float[np.ndarray, "h w 3"],
     covered: Bool[np.ndarray, "h w"],
     reach_px: float,
+    counts: Bool[np.ndarray, "h w"] | None = None,
 ) -> ColourModel:
     """Colours inside the object and in a band of ``reach_px`` around it.
 
     The cover may be off by some pixels: the mistake is in both histograms and only
-    makes them more alike.
+    makes them more alike. Only pixels that ``counts`` has are looked at.
     """
     bins = 24
     gap = cv2.distanceTransform((~covered).astype(np.uint8), cv2.DIST_L2, 5)
@@ -145,6 +146,7 @@ def colour_model(
     values = np.ascontiguousarray(pixels, dtype=np.float32)
     histograms = []
     for region in (covered, around):
+        region = region if counts is None else region & counts
         smooth = cv2.calcHist(
             [values], [0, 1, 2], region.astype(np.uint8), [bins] * 3, [0.0, 256.0] * 3
         ).astype(np.float64)
@@ -161,6 +163,8 @@ class RimEdges:
 
     offset_px: Float[np.ndarray, "n"]
     """From the rim outwards to the edge, in pixels of the view; NaN: none found."""
+    counts: Bool[np.ndarray, "n"]
+    """Whether the photo's mask leaves anything of the normal to search."""
 
 
 def find_edges(photo: Photo, view: SurfaceView, rim: Rim, reach_px: float) -> RimEdges:
@@ -168,14 +172,16 @@ def find_edges(photo: Photo, view: SurfaceView, rim: Rim, reach_px: float) -> Ri
 
     The edge is where colours like the object's give way to colours like the
     surroundings', where the colour steps, and near. Where colours inside and outside
-    are alike, the step alone counts.
+    are alike, the step alone counts. What the photo's mask leaves out has neither colours
+    nor edges; its border is an edge only where the photo's colours step there.
     """
     size = (view.camera.width, view.camera.height)
     pixels = photo.pixels
     if (photo.width, photo.height) != size:
         pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
     values = cv2.GaussianBlur(pixels.astype(np.float32), (0, 0), 0.8)
-    model = colour_model(values, view.covered, reach_px)
+    mask = resized_mask(photo, size)
+    model = colour_model(values, view.covered, reach_px, mask)
     half = 2.0
     reach = max(3, round(reach_px * half))
     steps = np.arange(-reach - 2, reach + 3) / half
@@ -191,11 +197,20 @@ def find_edges(photo: Photo, view: SurfaceView, rim: Rim, reach_px: float) -> Ri
     slope = 0.5 * (profile[:, 2:] - profile[:, :-2])
     strength = np.sqrt((slope**2).sum(axis=2))[:, 1:-1]
     ratio = model.of(profile)[:, 2:-2]
+    counts = np.ones(len(ratio), dtype=bool)
+    if mask is not None:
+        ratio = np.where(_at(mask, maps)[:, 2:-2], ratio, 0.0)
+        # The step at the border of the mask is between a pixel that counts and one that
+        # does not.
+        near = cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        within = _at(near, maps)[:, 2:-2]
+        strength = np.where(within, strength, 0.0)
+        counts = np.logical_or.reduce(within, axis=1)
     # Inside up to here, outside from here on; neighbours are not independent.
     inside = np.cumsum(ratio, axis=1)
     split = (2.0 * inside - inside[:, -1:]) / (half * 4.0)
     positions = steps[2:-2]
-    noise = np.median(strength) + 1.0
+    noise = np.median(strength[counts]) + 1.0 if counts.any() else 1.0
     score = (
         split
         + 2.0 * np.log1p(strength / noise)
@@ -215,7 +230,25 @@ def find_edges(photo: Photo, view: SurfaceView, rim: Rim, reach_px: float) -> Ri
     fraction = np.where(peak, 0.5 * (left - right) / np.where(peak, bend, 1.0), 0.0)
     offset = positions[best] + np.clip(fraction, -0.5, 0.5) / half
     shown = view.camera.contains(rim.pixels + offset[:, None] * rim.normals)
-    return RimEdges(np.where(peak & shown, offset, np.nan))
+    return RimEdges(np.where(peak & shown & counts, offset, np.nan), counts)
+
+
+def resized_mask(photo: Photo, size: tuple[int, int]) -> Bool[np.ndarray, "h w"] | None:
+    """The photo's mask at width and height ``size``; None where all counts."""
+    if photo.mask is None:
+        return None
+    share = cv2.resize(
+        photo.mask.astype(np.float32), size, interpolation=cv2.INTER_AREA
+    )
+    return share >= 0.5
+
+
+def _at(mask: Bool[np.ndarray, "h w"], maps: Float[np.ndarray, "n k 2"]) -> np.ndarray:
+    """The mask at the pixels nearest to ``maps``, beyond the border that on it."""
+    height, width = mask.shape
+    columns = np.clip(np.rint(maps[..., 0]).astype(int), 0, width - 1)
+    rows = np.clip(np.rint(maps[..., 1]).astype(int), 0, height - 1)
+    return mask[rows, columns]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -317,8 +350,17 @@ class RimTerm:
     def _own_scores(
         self, x: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
-        """Gradients of the segments, normal matrix and groupings where it would go."""
-        x = x + own_step(self.linearise(x))
+        """Gradients of the segments, normal matrix and groupings where it would go.
+
+        Where it is, if nothing can be reckoned there.
+        """
+        limits = np.full(len(x), np.inf)
+        limits[self._own] = self.increments.limits
+        model = self.linearise(end := own_end(self.linearise(x), x, limits))
+        if model.is_finite:
+            x = end
+        else:
+            model = self.linearise(x)
         residual, rows = self._residuals(x)
         weights, error, _ = self._offsets(residual)
         J = -np.einsum("nd,ndp->np", self.rim.normals, rows) / self.sigma
@@ -326,7 +368,7 @@ class RimTerm:
         index = np.arange(len(parts))
         return (
             parts,
-            self.linearise(x).normal[self._own, self._own],
+            model.normal[self._own, self._own],
             [index // length for length in BLOCK_LENGTHS],
         )
 

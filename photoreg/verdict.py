@@ -4,6 +4,8 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Literal
 
+import numpy as np
+
 from photoreg.agreement import Disagreement
 from photoreg.words import listed
 
@@ -22,6 +24,9 @@ OUTLINE_HOLDS = 0.3
 """Most disagreement of an outline that keeps a camera from sliding. Right ends had up
 to 0.25 with a fat scan, 0.31 behind an occluder, and 0.5 to 0.9 where the mesh ends in
 the middle of a wall."""
+
+ONE_IN_20 = 1.645
+"""Standard errors that a normal number exceeds by chance once in 20 times."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,7 +58,7 @@ def judge(fit: Disagreement, names: Sequence[str]) -> Verdict:
     the same sum, and so they have where the light changed.
 
     Args:
-        fit: How badly the cameras fit.
+        fit: How badly the cameras fit, ``agreement.against_chance``.
         names: What the photos are called.
     """
     agrees = [fit.typical_colour_of(i) <= COLOURS_AGREE for i in range(len(names))]
@@ -93,3 +98,34 @@ def judge(fit: Disagreement, names: Sequence[str]) -> Verdict:
         "convincing",
         "Convincing: the photos agree on the surface, and the outlines fit.",
     )
+
+
+def is_better(answer: Disagreement, start: Disagreement) -> bool:
+    """Whether cameras are better than those they came from, by what the verdict measures.
+
+    A polish draws colours and outlines together, noise too. So an outline counts where
+    it holds, and else as chance does; and colours are better only by more than their
+    cells' scatter gives once in 20 times.
+
+    Args:
+        answer: How badly the cameras fit, ``agreement.against_chance``.
+        start: The same of those that they came from.
+    """
+    margin = ONE_IN_20 * float(np.hypot(_colour_error(answer), _colour_error(start)))
+    before = _typical_colour(start) * _outline(start)
+    return (_typical_colour(answer) + margin) * _outline(answer) < before
+
+
+def _typical_colour(fit: Disagreement) -> float:
+    colours = list(fit.typical_colours.values())
+    return float(np.mean(colours)) if colours else 1.0
+
+
+def _colour_error(fit: Disagreement) -> float:
+    errors = list(fit.typical_errors.values())
+    return float(np.linalg.norm(errors)) / max(1, len(errors))
+
+
+def _outline(fit: Disagreement) -> float:
+    held = [outline if outline <= OUTLINE_HOLDS else 1.0 for outline in fit.outlines]
+    return float(np.mean(held))

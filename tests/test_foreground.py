@@ -104,3 +104,18 @@ def test_units_of_the_world_change_nothing(scene):
 def test_the_paper_asks_for_no_colours_of_the_object():
     assert RegistrationConfig.preset("paper").foreground == 0.0
     assert RegistrationConfig.preset("default").foreground > 0.0
+
+
+def test_where_a_photo_does_not_count_there_is_no_evidence(scene):
+    size = (scene.photos[0].height, scene.photos[0].width)
+    hidden = np.zeros(size, dtype=bool)
+    photos = [dataclasses.replace(photo, mask=hidden) for photo in scene.photos]
+    term = Foreground(scene.mesh, photos, scene.rough, seed=0)
+    assert misfit(term, scene.rough, scene.mesh) == 1.0
+    left = hidden.copy()
+    left[:, : size[1] // 2] = True
+    photos = [dataclasses.replace(photo, mask=left) for photo in scene.photos]
+    half = Foreground(scene.mesh, photos, scene.rough, seed=0)
+    whole = Foreground(scene.mesh, scene.photos, scene.rough, seed=0)
+    true = misfit(whole, scene.cameras, scene.mesh)
+    assert true < misfit(half, scene.cameras, scene.mesh) < 1.0

@@ -1,9 +1,12 @@
 """Nine numbers that move a camera: round trips, derivatives, the pivot stays."""
 
+import dataclasses
+import itertools
+
 import numpy as np
 import pytest
 
-from photoreg.camera import Camera
+from photoreg.camera import MAX_FOCAL_PX, Camera
 from photoreg.increments import Increments, PriorScales, rotation, rotation_vector
 from photoreg.kernels_polish import rim_rows
 
@@ -61,3 +64,22 @@ def test_geometry_of_a_reduced_photo_is_the_resized_camera(increments):
     pixels, _ = rim_rows(increments.geometry(X, 160, 120), points)
     expected = increments.camera(X).resized(160, 120).project(points)
     assert np.abs(pixels - expected).max() < 1e-9
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.7, 1e3])
+def test_every_vector_within_the_limits_is_a_camera(increments, scale):
+    wide = dataclasses.replace(increments, scales=PriorScales().scaled(scale))
+    signs = np.array(list(itertools.product([-1.0, 1.0], repeat=9)))
+    for x in signs * wide.limits:
+        camera = wide.camera(x)
+        assert np.abs(wide.of_camera(camera) - x).max() < 1e-6 * np.abs(x).max()
+        # The object is still before it.
+        assert camera.to_camera(wide.pivot[None])[0, 2] > 0.0
+
+
+def test_a_camera_of_the_longest_focal_length_has_nowhere_longer_to_go(increments):
+    K = increments.base.K.copy()
+    K[0, 0] = K[1, 1] = MAX_FOCAL_PX
+    base = dataclasses.replace(increments.base, K=K)
+    at_end = dataclasses.replace(increments, base=base)
+    assert at_end.limits[6] == 0.0

@@ -1,5 +1,7 @@
 """The photo pair's term: against its twin, finite differences, and its own noise."""
 
+import dataclasses
+
 import numba
 import numpy as np
 import pytest
@@ -10,9 +12,11 @@ from photoreg.increments import Increments, PriorScales
 from photoreg.kernels_polish import colours_at, weighted_moments
 from photoreg.mesh import Mesh
 from photoreg.photometric import CUT, PairTerm, measure_noise, surface_view
+from photoreg.rough import rough_start
 from tests import naive_photometric
 from tests.naive_photometric import catmull_rom, pair_cost
 from tests.polish_scene import make_polish_scene
+from tests.scenes import small_scene
 
 
 @pytest.fixture(scope="module")
@@ -168,3 +172,22 @@ def test_weighted_moments_equal_their_twin():
         strict=True,
     ):
         np.testing.assert_allclose(ours, twin, rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("seed", [0, 3, 5, 7])
+def test_terms_that_would_go_astray_alone_are_weighted_all_the_same(seed):
+    """Far off, a term's own step would take the focal length to 1e26 px."""
+    scene = small_scene()
+    start = rough_start(scene.true_mesh, scene.cameras, (34.0, 150.0), seed)
+    increments = tuple(
+        Increments(camera, scene.mesh.centroid, PriorScales().scaled(2.7))
+        for camera in start
+    )
+    x, sizes = np.zeros(18), [(320, 240)] * 2
+    terms = _terms(scene.mesh, scene.photos, increments, x, sizes, 0, PolishConfig(), 0)
+    assert terms
+    for term in terms:
+        sure = dataclasses.replace(term, weight=1e6 * term.weight).tempered(x)
+        assert np.isfinite(sure.weight).all()
+        assert np.isfinite(sure.scatter(x)).all()

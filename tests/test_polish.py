@@ -1,6 +1,7 @@
 """Levenberg-Marquardt over abstract terms."""
 
 import numpy as np
+import pytest
 
 from photoreg.polish import (
     Damping,
@@ -8,6 +9,7 @@ from photoreg.polish import (
     Quadratic,
     minimise,
     overdispersion,
+    own_end,
     scatter,
 )
 
@@ -101,3 +103,34 @@ def test_overdispersion_is_what_most_of_the_precision_suffers():
     r = np.where(column == 3, np.sqrt(1000.0), 1.0) * rng.normal(size=4000)
     ratio = overdispersion(J * r[:, None], J.T @ J, [np.arange(4000)])
     assert abs(ratio - 4.0 / 3.0) < 0.1, ratio
+
+
+class Cliff:
+    """The square root of x, whose bottom lies where it cannot be reckoned."""
+
+    def linearise(self, x):
+        root = np.sqrt(x[0]) if x[0] > 0.0 else np.nan
+        return Quadratic(float(root), np.array([0.5 / root]), np.array([[0.1 / root]]))
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_a_step_to_where_nothing_can_be_reckoned_is_refused():
+    steps = list(minimise([Cliff()], np.array([4.0]), Damping(30)))
+    assert all(step.model.is_finite for step in steps)
+    assert 0.0 < steps[-1].x[0] < 4.0
+
+
+def test_no_step_goes_beyond_its_limit():
+    prior = Prior(np.array([9.0, 1.0]), np.eye(2))
+    limits = np.array([2.0, 2.0])
+    *_, last = minimise([prior], np.zeros(2), Damping(30), None, limits)
+    assert 0.5 < last.x[0] <= 2.0
+    # What began beyond may come back, but goes no farther.
+    *_, last = minimise([prior], np.array([20.0, 1.0]), Damping(30), None, limits)
+    assert last.x == pytest.approx([9.0, 1.0], abs=1e-4)
+
+
+def test_where_a_term_would_go_alone_is_within_the_limits():
+    model = Quadratic(1.0, np.array([-1e9, -0.5]), np.diag([1e-9, 0.0]))
+    end = own_end(model, np.array([0.25, 0.0]), np.array([3.0, 3.0]))
+    assert end == pytest.approx([3.0, 0.5])

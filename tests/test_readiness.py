@@ -3,9 +3,14 @@
 import dataclasses
 
 import numpy as np
+import pytest
 
 from photoreg.camera import Camera
+from photoreg.errors import InputError
+from photoreg.photo import Photo
+from photoreg.photometric import surface_view
 from photoreg.readiness import check_readiness
+from photoreg.registration import refine
 from photoreg.synthetic import Scene, SceneOptions, make_scene
 
 
@@ -41,3 +46,50 @@ def test_a_camera_that_looks_past_the_object_is_named():
     assert found.overlap == 0.0
     assert not found.is_possible
     assert scene.photos[1].name in found.problems[0]
+
+
+def filled(photo: Photo, value: int) -> Photo:
+    return dataclasses.replace(photo, pixels=np.full_like(photo.pixels, value))
+
+
+@pytest.mark.parametrize("value", [0, 255])
+def test_photos_of_one_colour_are_refused_before_the_run(value):
+    scene = rock()
+    photos = [filled(scene.photos[0], value), scene.photos[1]]
+    found = check_readiness(scene.mesh, photos, scene.rough_cameras)
+    assert found.featureless == (photos[0].name,)
+    assert not found.is_possible
+    assert found.problems == found.refusals
+    with pytest.raises(InputError, match=f"{photos[0].name} shows neither texture"):
+        list(refine(scene.mesh, photos, scene.rough_cameras))
+
+
+def test_one_picture_under_two_names_is_refused_before_the_run():
+    scene = rock()
+    first = scene.photos[0]
+    photos = [first, dataclasses.replace(first, name="again.png")]
+    found = check_readiness(scene.mesh, photos, scene.rough_cameras)
+    assert found.same == ((first.name, "again.png"),)
+    assert not found.is_possible
+    with pytest.raises(InputError, match="are the same picture"):
+        list(refine(scene.mesh, photos, scene.rough_cameras))
+
+
+def test_a_mask_over_the_whole_object_is_refused_before_the_run():
+    scene = rock()
+    covered = surface_view(scene.mesh, scene.rough_cameras[1]).covered
+    photos = [scene.photos[0], dataclasses.replace(scene.photos[1], mask=~covered)]
+    found = check_readiness(scene.mesh, photos, scene.rough_cameras)
+    assert found.masked == (photos[1].name,)
+    assert not found.is_possible
+    with pytest.raises(InputError, match=f"mask of {photos[1].name} leaves hardly"):
+        list(refine(scene.mesh, photos, scene.rough_cameras))
+
+
+def test_a_mask_that_leaves_the_object_is_no_obstacle():
+    scene = rock()
+    covered = surface_view(scene.mesh, scene.cameras[1]).covered
+    photos = [scene.photos[0], dataclasses.replace(scene.photos[1], mask=covered)]
+    found = check_readiness(scene.mesh, photos, scene.rough_cameras)
+    assert found.is_possible
+    assert found.problems == ()

@@ -348,3 +348,24 @@ def test_a_camera_of_another_size_is_refused_at_once():
 def test_an_impossible_setting_is_refused_by_name(name, value):
     with pytest.raises(InputError, match=f"^{name} is {value}; give"):
         dataclasses.replace(SEARCH, **{name: value})
+
+
+def test_an_answer_that_does_not_convince_and_is_no_better_gives_the_start_back():
+    scene = small_scene()
+    rng = np.random.default_rng(3)
+    photos = [
+        dataclasses.replace(
+            photo, pixels=rng.integers(0, 256, photo.pixels.shape, dtype=np.uint8)
+        )
+        for photo in scene.photos
+    ]
+    quick = PolishConfig(blurs_px=(4.0, 1.0), points=(500, 1000), rounds=(1, 1))
+    config = dataclasses.replace(SEARCH, polish_after=True, polish=quick)
+    *_, last = refine(scene.mesh, photos, scene.rough_cameras, config)
+    assert isinstance(last, Finished)
+    assert same_cameras(last.cameras, scene.rough_cameras)
+    assert last.cost == last.start_cost
+    assert last.verdict is not None
+    assert not last.verdict.is_credible
+    assert "start" in last.reason
+    assert last.expected_error_px is None

@@ -99,3 +99,28 @@ def test_normal_matrix_is_symmetric_and_not_negative(term_and_x):
     values = np.linalg.eigvalsh(0.5 * (normal + normal.T))
     assert np.abs(normal - normal.T).max() < 1e-9 * values[-1]
     assert values[0] > -1e-9 * values[-1], values
+
+
+def test_no_edge_is_found_where_the_photo_does_not_count(scene):
+    view = surface_view(scene.mesh, scene.cameras[0])
+    rim = find_rim(scene.mesh, view, 400)
+    photo = scene.photos[0]
+    middle = photo.width // 2
+    left = np.zeros((photo.height, photo.width), dtype=bool)
+    left[:, :middle] = True
+    edges = find_edges(dataclasses.replace(photo, mask=left), view, rim, 6.0)
+    at = rim.pixels[:, 0] + edges.offset_px * rim.normals[:, 0]
+    assert np.nanmax(at) <= middle + 1.5
+    assert np.isfinite(edges.offset_px[rim.pixels[:, 0] < middle - 10]).mean() > 0.8
+    assert not edges.counts[rim.pixels[:, 0] > middle + 10].any()
+    none = dataclasses.replace(photo, mask=np.zeros_like(left))
+    assert np.isnan(find_edges(none, view, rim, 6.0).offset_px).all()
+
+
+def test_the_rim_of_a_photo_that_is_cut_out_is_found_on_the_border_of_its_mask(scene):
+    view = surface_view(scene.mesh, scene.cameras[0])
+    rim = find_rim(scene.mesh, view, 400)
+    cut = dataclasses.replace(scene.photos[0], mask=view.covered)
+    offset = find_edges(cut, view, rim, 6.0).offset_px
+    assert np.isfinite(offset).mean() > 0.8
+    assert abs(np.nanmedian(offset)) < 0.2, np.nanmedian(offset)

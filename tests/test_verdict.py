@@ -2,13 +2,16 @@
 
 import dataclasses
 
+import cv2
+import numpy as np
 import pytest
 
-from photoreg.agreement import Disagreement, disagreement
+from photoreg.agreement import Disagreement, against_chance, disagreement
 from photoreg.alignment import PolishConfig
 from photoreg.presets import RegistrationConfig
 from photoreg.registration import Finished, refine
-from photoreg.verdict import judge
+from photoreg.rough import rough_start
+from photoreg.verdict import is_better, judge
 from tests.scenes import small_scene
 
 NAMES = ("left.jpg", "right.jpg", "top.jpg")
@@ -84,3 +87,68 @@ def test_half_a_pixel_is_not_lost_in_the_roughness_of_outlines():
     searched = Disagreement({(0, 1): 0.0047}, {(0, 1): 0.0047}, (0.0553, 0.0484))
     polished = Disagreement({(0, 1): 0.0024}, {(0, 1): 0.0024}, (0.0541, 0.0546))
     assert polished.total < searched.total
+
+
+def noisy(photo, seed):
+    rng = np.random.default_rng(seed)
+    pixels = rng.integers(0, 256, photo.pixels.shape, dtype=np.uint8)
+    return dataclasses.replace(photo, pixels=pixels)
+
+
+@pytest.mark.parametrize("blur_px", [0.0, 2.0, 6.0])
+def test_an_outline_that_fits_noise_is_no_evidence(blur_px):
+    scene = small_scene()
+    names = [photo.name for photo in scene.photos]
+    for seed in range(4):
+        photos = []
+        for i, photo in enumerate(scene.photos):
+            noise = noisy(photo, [seed, i])
+            if blur_px:
+                soft = cv2.GaussianBlur(noise.pixels.astype(float), (0, 0), blur_px)
+                contrast = np.clip(128.0 + (soft - 127.5) * 4.0 * blur_px, 0, 255)
+                noise = dataclasses.replace(noise, pixels=contrast.astype(np.uint8))
+            photos.append(noise)
+        cameras = rough_start(scene.mesh, scene.cameras, (2.0, 8.0), seed)
+        fit = disagreement(scene.mesh, photos, cameras, 0.25)
+        fit = against_chance(fit, scene.mesh, photos, cameras)
+        assert judge(fit, names).grade == "unconvincing", fit
+        assert min(fit.outlines) > 0.5, fit.outlines
+
+
+def test_the_true_outline_fits_far_better_than_chance():
+    for kind in ("clean", "mid", "clutter", "hard"):
+        scene = small_scene(kind=kind)
+        fit = disagreement(scene.mesh, scene.photos, scene.cameras, 0.25)
+        told = against_chance(fit, scene.mesh, scene.photos, scene.cameras)
+        # Among clutter others fit too; yet not half as well.
+        assert max(told.outlines) < 0.5, (kind, told.outlines)
+        assert told.colours == fit.colours
+
+
+def test_photos_without_contrast_do_not_agree():
+    scene = small_scene()
+    black = [
+        dataclasses.replace(photo, pixels=np.zeros_like(photo.pixels))
+        for photo in scene.photos
+    ]
+    fit = disagreement(scene.mesh, black, scene.cameras, 0.25)
+    assert fit.colours == fit.typical_colours == {(0, 1): 1.0}
+    assert fit.outlines == (1.0, 1.0)
+
+
+def test_only_what_chance_hardly_gives_is_better():
+    start = dataclasses.replace(
+        fit({(0, 1): 1.0}, (1.0, 1.0)), typical_errors={(0, 1): 0.03}
+    )
+    luck = dataclasses.replace(
+        fit({(0, 1): 0.95}, (1.0, 1.0)), typical_errors={(0, 1): 0.03}
+    )
+    colours = dataclasses.replace(luck, typical_colours={(0, 1): 0.7})
+    outline = dataclasses.replace(luck, outlines=(0.1, 1.0))
+    assert not is_better(start, start)
+    assert not is_better(luck, start)
+    # As far as a polish drew an outline to white noise.
+    assert not is_better(dataclasses.replace(luck, outlines=(0.67, 1.0)), start)
+    assert is_better(colours, start)
+    assert is_better(outline, start)
+    assert not is_better(start, outline)
