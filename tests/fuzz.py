@@ -24,6 +24,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pillow_heif
+import pillow_jxl
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
@@ -32,6 +34,7 @@ from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from tests import lying_archives, lying_cameras, lying_input, lying_meshes, lying_photos
 from tests.memory import peak_memory_gb
+from tests.photo_files import write_dng
 
 EXAMPLES = 200
 """Files a round; rounds go on until the time is up."""
@@ -117,6 +120,8 @@ def camera_files(kind: str) -> Content:
 
 def targets() -> dict[str, list[Content]]:
     """Sound files for each reader."""
+    pillow_heif.register_heif_opener()
+    assert pillow_jxl  # Both, so that Pillow writes what is damaged here.
     textured = (
         b"mtllib m.mtl\n"
         + lying_meshes.obj()
@@ -166,6 +171,14 @@ def targets() -> dict[str, list[Content]]:
             },
         ],
     }
+    for suffix, kind in (("webp", "WEBP"), ("avif", "AVIF"), ("heic", "HEIF")):
+        found[suffix] = [
+            {f"p.{suffix}": lying_photos.encoded(lying_photos.picture(), kind)}
+        ]
+    with tempfile.TemporaryDirectory() as folder:
+        write_dng(Path(folder) / "p.dng", np.full((32, 48, 3), 0.5))
+        found["dng"] = [{"p.dng": (Path(folder) / "p.dng").read_bytes()}]
+    found["jxl"] = [{"p.jxl": lying_photos.encoded(lying_photos.picture(), "JXL")}]
     found["zip"] = [
         {
             "z.zip": lying_archives.packed(

@@ -127,9 +127,61 @@ def photo_cases() -> Iterator[Case]:
     text = png()[:33] + chunk(b"zTXt", b"a\0\0" + compressed_zeros(80)) + png()[33:]
     yield Case("80 MB of compressed text", "p.png", text, "p.png")
     yield Case("a PNG called JPEG", "p.jpg", png(), "read: 40 x 30 px")
+    yield from newer_cases()
     for name in ("a b.png", "Fotó 写真.png", 'it\'s "a" <b>.png', "..png", "p..png"):
         expected = "read: 40 x 30 px" if name != "..png" else ""
         yield Case("a name", name, png(), expected)
+
+
+def newer_cases() -> Iterator[Case]:
+    """Kinds that phones and cameras write, and marks of what no pinhole camera takes."""
+    import pillow_heif
+    import pillow_jxl
+
+    pillow_heif.register_heif_opener()
+    assert pillow_jxl
+    sound = "read: 40 x 30 px"
+    kinds = {"webp": "WEBP", "heic": "HEIF", "avif": "AVIF", "jxl": "JXL"}
+    for suffix, kind in kinds.items():
+        name = f"p.{suffix}"
+        whole = encoded(picture(), kind)
+        yield Case("nothing wrong", name, whole, sound)
+        yield Case("its beginning only", name, whole[: len(whole) // 2], "could not be")
+        yield Case("noise", name, bytes(range(256)) * 40, "does not begin as one")
+        wide = encoded(picture(size=(700, 500)), kind)
+        yield Case("more pixels than the limit", name, wide, "limit")
+        yield Case("by the name of a JPEG", "p.jpg", whole, sound)
+    for suffix in ("dng", "cr2", "cr3", "nef", "arw", "raf"):
+        name = f"p.{suffix}"
+        yield Case("a JPEG by another name", name, encoded(picture(), "JPEG"), sound)
+        tiff = encoded(picture(), "TIFF")
+        yield Case("a TIFF by another name", name, tiff, "could not be developed")
+    raf = b"FUJIFILMCCD-RAW 0201" + bytes(400)
+    yield Case("the beginning of a RAF", "p.raf", raf, "could not be developed")
+    for start, what in (
+        (b"BM", "a BMP"),
+        (b"8BPS", "a Photoshop"),
+        (b"IIRO", "Olympus"),
+    ):
+        yield Case(what, "p.png", start + bytes(200), what)
+    for code, curve in ((16, "PQ"), (18, "HLG")):
+        hdr = png()[:33] + chunk(b"cICP", bytes([9, code, 0, 1])) + png()[33:]
+        yield Case(f"for HDR displays, {curve}", "p.png", hdr, curve)
+    gamma = png()[:33] + chunk(b"gAMA", bytes(4)) + png()[33:]
+    yield Case("a gamma of 0", "p.png", gamma, "gamma of 0")
+    broken = encoded(picture(), "JPEG", icc_profile=b"not a profile" * 20)
+    yield Case("a profile that is none", "p.jpg", broken, "profile that cannot be read")
+    two = [picture("L").convert("RGB")]
+    moving = encoded(picture(), "WEBP", save_all=True, append_images=two)
+    yield Case("an animation", "p.webp", moving, "an animation of 2")
+    paged = encoded(picture(), "TIFF", save_all=True, append_images=two)
+    yield Case("two pages", "p.tif", paged, "2 pages")
+    pano = b'<a GPano:ProjectionType="equirectangular"/>'
+    yield Case(
+        "a panorama", "p.jpg", encoded(picture(), "JPEG", xmp=pano), "a panorama"
+    )
+    dim = Image.fromarray(np.full((30, 40), 4000, np.uint16))
+    yield Case("12 bits in 16", "p.png", encoded(dim, "PNG"), "no value above 4000")
 
 
 def chunk(kind: bytes, data: bytes) -> bytes:
