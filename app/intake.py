@@ -127,7 +127,11 @@ class Intake:
             self._cameras = self._new_folder()
             files = "a file" if n_files == 1 else f"{n_files} files"
             self._show(f"Receiving {files}", 0.0)
-        self._reader.prepare()
+        try:
+            self._reader.prepare()
+        except OSError as error:
+            self._give_up()
+            raise not_begun(error) from error
 
     def receive(self, browser: int, name: str, content: bytes) -> None:
         """A file has come; with the last one of its batch, all are opened.
@@ -251,7 +255,15 @@ class Intake:
     ) -> None:
         self._batch = batch
         self._show("Opening", 0.0)
-        self._reader.read(wanted, lambda event: self._on_event(batch, event, then))
+        try:
+            self._reader.read(wanted, lambda event: self._on_event(batch, event, then))
+        except OSError as error:
+            self._give_up()
+            raise not_begun(error) from error
+
+    def _give_up(self) -> None:
+        self._sender = self._batch = None
+        self._session.change(None, setting(job=None))
 
     def cancel(self) -> bool:
         """Leaves the files that are coming or being read; whether there were any."""
@@ -344,3 +356,11 @@ class Intake:
         if (self._cameras / plain).exists():
             raise InputError(f"{plain} came twice. Give one, or a zip with folders.")
         return keep_file(self._cameras, plain, content)
+
+
+def not_begun(error: OSError) -> InputError:
+    """That the process that reads files could not be started."""
+    return InputError(
+        "The files could not be opened: no process could be started to read them "
+        f"({error.strerror or error}). Close other programs and try again."
+    )
