@@ -1,8 +1,9 @@
 """Processes beside the app: spawned with a pipe, and ended by the app alone."""
 
+import contextlib
 import multiprocessing
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any
@@ -24,10 +25,24 @@ def spawned(
     process = context.Process(
         target=_enter, args=(target, theirs, *arguments), daemon=True
     )
-    process.start()
+    with _deaf_to_ctrl_c():
+        process.start()
     # Only while the child alone holds its end does its death end the pipe.
     theirs.close()
     return process, ours
+
+
+@contextlib.contextmanager
+def _deaf_to_ctrl_c() -> Iterator[None]:
+    """A process started within does not hear Ctrl-C, from its first moment on."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows.
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _enter(

@@ -1,12 +1,44 @@
 """`photoreg`: the app when no command is named, else the command line."""
 
+import contextlib
+import os
+import signal
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
-import tyro
+from photoreg.errors import InputError
+from photoreg.limits import check_address_space
 
-from photoreg import cli
+
+@contextlib.contextmanager
+def _ctrl_c_ends_at_once() -> Iterator[None]:
+    """While there is nothing to clean up: among imports, a KeyboardInterrupt is lost."""
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield  # A shell starts background programs deaf to Ctrl-C.
+        return
+
+    def end(*_: object) -> None:
+        with contextlib.suppress(OSError):
+            os.write(2, b"Stopped.\n")
+        os._exit(1)
+
+    signal.signal(signal.SIGINT, end)
+    yield
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+try:
+    check_address_space()
+except InputError as error:
+    sys.stderr.write(f"photoreg: {error}\n")
+    sys.exit(2)
+with _ctrl_c_ends_at_once():
+    # They take a second or two.
+    import tyro
+
+    from photoreg import cli
 
 
 def app_command(
@@ -59,7 +91,11 @@ def app_command(
 
 def main() -> int:
     """Runs the command that the terminal names; returns the exit status."""
-    return cli.run(sys.argv[1:] or ["app"], {"app": app_command})
+    status = cli.run(sys.argv[1:] or ["app"], {"app": app_command})
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        # What is left is the interpreter's own end.
+        signal.signal(signal.SIGINT, lambda *_: os._exit(status))
+    return status
 
 
 if __name__ == "__main__":

@@ -5,9 +5,11 @@ Exit status 0: done. 1: stopped early or crashed. 2: bad input, in one sentence.
 
 import contextlib
 import dataclasses
+import errno
 import itertools
 import json
 import math
+import os
 import signal
 import sys
 import threading
@@ -365,18 +367,56 @@ def run(
     """
     try:
         with noting_inputs():
-            return tyro.extras.subcommand_cli_from_dict(
-                {**(others or {}), **commands(argv)},
-                prog="photoreg",
-                description="Lays photographs onto a scanned 3-D surface, precisely.",
-                args=list(argv),
-            )
+            try:
+                return tyro.extras.subcommand_cli_from_dict(
+                    {**(others or {}), **commands(argv)},
+                    prog="photoreg",
+                    description="Lays photographs onto a scanned 3-D surface, precisely.",
+                    args=list(argv),
+                )
+            finally:
+                sys.stdout.flush()
     except PhotoregError as error:
-        _log.print(f"photoreg: {error}", markup=False)
-        return 2
+        return _refused(str(error))
     except KeyboardInterrupt:
         _log.print("Stopped.")
         return 1
+    except BrokenPipeError:
+        # Whoever read the output has seen enough of it: photoreg ... | head -1.
+        _drop_output()
+        return 1
+    except OSError as error:
+        _drop_output()
+        return _refused(_in_words(error))
+    except MemoryError:
+        return _refused(
+            "There is not enough memory for this. Give smaller photos or a coarser mesh, "
+            "or end other programs."
+        )
+
+
+def _refused(sentence: str) -> int:
+    with contextlib.suppress(OSError):
+        _log.print(f"photoreg: {sentence}", markup=False)
+    return 2
+
+
+def _in_words(error: OSError) -> str:
+    if error.errno in (errno.EMFILE, errno.ENFILE):
+        return (
+            "Too many files are open. End other programs, or raise the limit "
+            "(ulimit -n), and try again."
+        )
+    what = "The output" if error.filename is None else error.filename
+    return f"{what} could not be read or written: {error.strerror or error}."
+
+
+def _drop_output() -> None:
+    """Lets what is left of standard output go nowhere, lest its end fails once more."""
+    with contextlib.suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
 
 
 def _load_scene(

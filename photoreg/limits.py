@@ -69,3 +69,25 @@ class Limits:
 def variable(name: str) -> str:
     """The environment variable that sets a limit."""
     return f"PHOTOREG_MAX_{name.upper()}"
+
+
+def check_address_space() -> None:
+    """Checks that the libraries can be loaded: some crash where they should complain.
+
+    With two cores numpy, OpenCV, embree and numba load and work from 1.2 GB up, and
+    crash in libgomp at 1.0 GB (Linux); each thread takes room for stack and buffers.
+
+    Raises:
+        InputError: if the system's limit (ulimit -v) leaves less.
+    """
+    try:
+        import resource  # noqa: PLC0415 - Windows has no such limits.
+    except ImportError:
+        return
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    needed_gb = 0.9 + 0.15 * (os.cpu_count() or 1)
+    if limit != resource.RLIM_INFINITY and limit < needed_gb * 1e9:
+        raise InputError(
+            f"photoreg needs {needed_gb:.1f} GB of address space to begin with, but "
+            f"{limit / 1e9:.1f} GB are allowed. Raise the limit (ulimit -v)."
+        )

@@ -21,7 +21,7 @@ SENSOR_MM = 36.0
 _SCRIPT = '''# made by photoreg
 """Cameras with their photos behind them.
 
-Open this in Blender's text editor and run it, or: blender --python {file}
+Open this in Blender's text editor and run it, or name it after blender --python.
 """
 
 import json
@@ -111,9 +111,7 @@ def save_blender(path: Path, cameras: CameraSet, overwrite: bool = False) -> Sav
         entries.append(_entry(name, where, camera))
     # A JSON text in a raw string: a quote or backslash in a name must not end it.
     text = json.dumps(entries, indent=1).replace('"""', '\\u0022""')
-    script = _SCRIPT.replace("{file}", path.name.replace('"', "")).replace(
-        "{sensor}", repr(SENSOR_MM)
-    )
+    script = _SCRIPT.replace("{sensor}", repr(SENSOR_MM))
     contents = {path: script.replace("{cameras}", text)}
     return Saved(write_files(contents, cameras.files, overwrite), losses)
 
