@@ -125,16 +125,22 @@ def _pump(
     wanted: Wanted | Packed,
     on_event: Callable[[ReadingEvent], None],
 ) -> None:
+    at = ""
     try:
         connection.send(wanted)
         while True:
             event: ReadingEvent = connection.recv()
+            if isinstance(event, Reading):
+                at = f" ({event.title})"
             on_event(event)
             if isinstance(event, ReadAll):
                 return
     except (EOFError, OSError):
         process.join(timeout=PATIENCE_S)
-        text = "Reading was cut short; there may be too little memory for these files."
+        text = (
+            f"Reading was cut short{at}: the decoder failed, or there is too little "
+            "memory. Save that file anew, or in another format."
+        )
         on_event(Failed("read", text))
         on_event(ReadAll(complete=False))
     except Exception:
