@@ -69,7 +69,9 @@ class Batch:
             # Where the work begins: the first of the new photos.
             state = dataclasses.replace(state, selected=n_before)
         if len(self.loaded) > 1:
-            note = f"{len(self.loaded)} files are open."
+            mesh = state.document.mesh
+            notes = mesh.notes if mesh is not None else ()
+            note = " ".join([f"{len(self.loaded)} files are open.", *notes])
             state = dataclasses.replace(state, note=note)
         return state
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from photoreg.formats.camera_search import CAMERA_SUFFIXES
-from photoreg.mesh import MESH_SUFFIXES
+from photoreg.formats.meshes import MESH_SUFFIXES
 from photoreg.photo_formats import PHOTO_SUFFIXES
 
 MESH, PHOTO, CAMERAS = range(3)

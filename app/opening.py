@@ -9,7 +9,7 @@ from app.state import Document, PhotoEntry
 from photoreg.errors import InputError
 from photoreg.formats.cameras import read_cameras
 from photoreg.formats.cameras_json import CameraFile, load_cameras
-from photoreg.mesh import MESH_SUFFIXES, load_mesh
+from photoreg.formats.meshes import MESH_SUFFIXES, load_mesh
 from photoreg.photo import load_photo
 from photoreg.photo_formats import PHOTO_SUFFIXES
 

@@ -38,7 +38,7 @@ def with_mesh(state: State, event: MeshLoaded) -> State:
         state,
         document=Document(event.mesh, event.display_mesh, photos),
         texture=None,
-        note=f"{event.mesh.name} is loaded.",
+        note=" ".join([f"{event.mesh.name} is loaded.", *event.mesh.notes]),
     )
 
 

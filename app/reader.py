@@ -31,8 +31,8 @@ from photoreg.errors import PhotoregError
 from photoreg.formats.archives import unzipped
 from photoreg.formats.camera_search import find_cameras
 from photoreg.formats.cameras import format_to_read, read_cameras
+from photoreg.formats.meshes import load_mesh
 from photoreg.formats.meshlab import PADDED
-from photoreg.mesh import load_mesh
 from photoreg.photo import load_photo
 
 log = logging.getLogger(__name__)

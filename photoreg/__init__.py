@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from photoreg.formats.cameras_json import CameraFile as CameraFile
     from photoreg.formats.cameras_json import load_cameras as load_cameras
     from photoreg.formats.cameras_json import save_cameras as save_cameras
+    from photoreg.formats.meshes import load_mesh as load_mesh
     from photoreg.mesh import Mesh as Mesh
-    from photoreg.mesh import load_mesh as load_mesh
     from photoreg.photo import Photo as Photo
     from photoreg.photo import load_photo as load_photo
     from photoreg.registration import Finished as Finished
@@ -36,7 +36,7 @@ _MODULES = {
     "load_cameras": "photoreg.formats.cameras_json",
     "save_cameras": "photoreg.formats.cameras_json",
     "Mesh": "photoreg.mesh",
-    "load_mesh": "photoreg.mesh",
+    "load_mesh": "photoreg.formats.meshes",
     "Photo": "photoreg.photo",
     "load_photo": "photoreg.photo",
     "Finished": "photoreg.registration",

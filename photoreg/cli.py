@@ -30,10 +30,11 @@ from photoreg.errors import InputError, OutputError, PhotoregError
 from photoreg.evaluate import projection_error
 from photoreg.formats.cameras import photos_by_name, read_cameras
 from photoreg.formats.cameras_json import CameraFile, save_cameras
+from photoreg.formats.meshes import load_mesh
 from photoreg.formats.pictures import PictureKind, encode_picture
 from photoreg.formats.textured import save_textured, textured_files
 from photoreg.formats.writing import check_outputs, check_suffix, write_files
-from photoreg.mesh import Mesh, load_mesh
+from photoreg.mesh import Mesh
 from photoreg.photo import Photo, load_photo
 from photoreg.registration import (
     Finished,
@@ -179,7 +180,7 @@ def evaluate_command(
         truth: The true cameras; photos are matched by name.
         json: Print the figures as JSON on standard output.
     """
-    surface = load_mesh(mesh)
+    surface = _surface(mesh)
     estimated, true = read_cameras(cameras).cameras, read_cameras(truth).cameras
     if not estimated:
         raise InputError(f"{cameras.name} has no cameras.")
@@ -429,9 +430,17 @@ def _load_scene(
     file = read_cameras(cameras, photos=photos_by_name(photos))
     for note in file.notes:
         _log.print(f"Note: {note}", markup=False)
-    surface = load_mesh(mesh)
+    surface = _surface(mesh)
     pictures = [load_photo(path) for path in photos]
     return surface, pictures, file, file.of_photos(pictures)
+
+
+def _surface(path: Path) -> Mesh:
+    """The mesh of a file; what of it was left out is told."""
+    surface = load_mesh(path)
+    for note in surface.notes:
+        _log.print(f"Note: {surface.name}: {note}", markup=False)
+    return surface
 
 
 def _watch(

@@ -19,7 +19,8 @@ from typing import Any
 
 from photoreg.camera import Camera
 from photoreg.errors import InputError, OutputError
-from photoreg.mesh import Mesh, load_mesh
+from photoreg.formats.meshes import load_mesh
+from photoreg.mesh import Mesh
 from photoreg.photo import Photo, load_photo
 from photoreg.project_files import FileProblem, ProjectFiles
 from photoreg.project_folder import (

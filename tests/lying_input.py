@@ -9,8 +9,9 @@ from typing import Any
 from app.reader import Packed
 from photoreg.formats.archives import unzipped
 from photoreg.formats.cameras import read_cameras
+from photoreg.formats.meshes import MESH_SUFFIXES, load_mesh
 from photoreg.limits import Limits
-from photoreg.mesh import MESH_SUFFIXES, Mesh, load_mesh
+from photoreg.mesh import Mesh
 from photoreg.photo import Photo, load_photo
 from photoreg.photo_formats import PHOTO_SUFFIXES
 

@@ -229,7 +229,7 @@ def obj_cases() -> Iterator[Case]:
         "texture",
     )
     outside = {"../secret.mtl": b"", "t.png": picture}
-    plain = "read: 1 triangles, 3 vertices, texture coordinates"
+    plain = "read: 1 triangles, 4 vertices, texture coordinates"
     yield Case(
         "MTL above its folder",
         "m.obj",
@@ -319,7 +319,7 @@ def ply_cases() -> Iterator[Case]:
         "",
     )
     quads = [[0, 1, 2, 3], [0, 1, 2], [1, 2, 3]]
-    yield Case("triangles and quads", "m.ply", ply(V, quads), "triangulate")
+    yield Case("triangles and quads", "m.ply", ply(V, quads), "read: 4 triangles")
     yield Case(
         "triangles and quads, as text",
         "m.ply",

@@ -17,8 +17,8 @@ from PIL import Image
 from photoreg.cli import commands, run
 from photoreg.evaluate import projection_error
 from photoreg.formats.cameras_json import CameraFile, load_cameras, save_cameras
+from photoreg.formats.meshes import load_mesh
 from photoreg.formats.ply import save_mesh
-from photoreg.mesh import load_mesh
 from tests.scenes import small_scene
 
 

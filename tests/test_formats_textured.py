@@ -10,10 +10,11 @@ import trimesh
 
 from photoreg.errors import OutputError
 from photoreg.formats.glb import save_textured_glb, textured_glb
+from photoreg.formats.meshes import load_mesh
 from photoreg.formats.ply import save_coloured_ply, save_textured_ply
 from photoreg.formats.seams import split_at_seams, vertex_colours
 from photoreg.formats.textured import TEXTURED_FORMATS, save_textured
-from photoreg.mesh import Mesh, load_mesh
+from photoreg.mesh import Mesh
 from photoreg.texture import TextureConfig, TexturedMesh, bake_texture
 from tests.painted import ball_and_moon, cameras_around, paint, photograph
 

@@ -7,7 +7,8 @@ import trimesh
 from PIL import Image
 
 from photoreg.errors import InputError
-from photoreg.mesh import MESH_SUFFIXES, Mesh, load_mesh
+from photoreg.formats.meshes import MESH_SUFFIXES, load_mesh
+from photoreg.mesh import Mesh
 
 
 @pytest.fixture(scope="module")

@@ -17,8 +17,8 @@ from app.warm_up import toy_scene
 from photoreg import project_schema
 from photoreg.camera import Camera
 from photoreg.errors import InputError, OutputError
+from photoreg.formats.meshes import load_mesh
 from photoreg.formats.ply import save_mesh
-from photoreg.mesh import load_mesh
 from photoreg.photo import load_photo
 from photoreg.project import DATABASE, Project, Step
 from photoreg.project_files import keep_file, plain_name

@@ -11,7 +11,7 @@ import pytest
 from photoreg.errors import InputError, OutputError
 from photoreg.evaluate import projection_error
 from photoreg.formats.cameras_json import load_cameras
-from photoreg.mesh import load_mesh
+from photoreg.formats.meshes import load_mesh
 from photoreg.photo import load_photo
 from photoreg.render import decode_srgb, encode_srgb
 from photoreg.sampling import sample_surface

@@ -28,11 +28,12 @@ from photoreg.formats.camera_set import CameraSet
 from photoreg.formats.cameras import CAMERA_FORMATS, FormatName, write_cameras
 from photoreg.formats.cameras_json import CameraFile, load_cameras, save_cameras
 from photoreg.formats.mark import is_marked, marked_picture
+from photoreg.formats.meshes import load_mesh
 from photoreg.formats.pictures import PictureKind, encode_picture
 from photoreg.formats.ply import save_mesh
 from photoreg.formats.textured import save_textured, textured_files
 from photoreg.formats.writing import check_outputs, write_files
-from photoreg.mesh import Mesh, load_mesh
+from photoreg.mesh import Mesh
 from photoreg.photo import Photo
 from photoreg.texture import TextureConfig, TexturedMesh, bake_texture
 from tests.camera_files import PLACES

@@ -8,7 +8,8 @@ from photoreg.alignment import polish_cameras
 from photoreg.camera import Camera
 from photoreg.evaluate import projection_error
 from photoreg.formats.cameras_json import load_cameras
-from photoreg.mesh import MESH_SUFFIXES, Mesh, load_mesh
+from photoreg.formats.meshes import MESH_SUFFIXES, load_mesh
+from photoreg.mesh import Mesh
 from photoreg.photo import Photo, load_photo
 from photoreg.registration import RegistrationConfig
 from tests.bench.metrics import Metric, Setting, bench, spread

@@ -10,7 +10,8 @@ import numpy as np
 from photoreg.camera import Camera
 from photoreg.evaluate import projection_error, seen_points
 from photoreg.formats.cameras_json import load_cameras
-from photoreg.mesh import MESH_SUFFIXES, Mesh, load_mesh
+from photoreg.formats.meshes import MESH_SUFFIXES, load_mesh
+from photoreg.mesh import Mesh
 from photoreg.resection import (
     CLICK_SIGMA_PX,
     FOCAL_SIGMA,

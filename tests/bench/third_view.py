@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from photoreg.camera import Camera
 from photoreg.formats.cameras_json import load_cameras
-from photoreg.mesh import Mesh, load_mesh
+from photoreg.formats.meshes import load_mesh
+from photoreg.mesh import Mesh
 from photoreg.photo import load_photo
 from photoreg.registration import refine
 from photoreg.scene_options import SceneOptions

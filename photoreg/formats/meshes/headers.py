@@ -150,10 +150,14 @@ def _stl(path: Path, limits: Limits) -> None:
     with path.open("rb") as file:
         head = file.read(84)
         announced = struct.unpack("<I", head[80:84])[0] if len(head) == 84 else 0
-        if len(head) == 84 and size == 84 + 50 * announced:
+        is_text = head.lstrip().lower().startswith(b"solid")
+        behind = size - 84 - 50 * announced
+        # Some programs write remarks behind the last triangle; never whole triangles.
+        has_remarks = not is_text and announced > 0 and behind > 0 and behind % 50 != 0
+        if len(head) == 84 and (behind == 0 or has_remarks):
             check_counts(path.name, 3 * announced, announced, limits)
             return
-        if not head.lstrip().lower().startswith(b"solid"):
+        if not is_text:
             raise InputError(
                 f"{path.name} announces {announced:,} triangles, but holds "
                 f"{max(size - 84, 0) // 50:,}; it is truncated or not an STL mesh. "

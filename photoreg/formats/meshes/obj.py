@@ -1,0 +1,253 @@
+"""OBJ, with its MTL files and pictures."""
+
+import dataclasses
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tinyobjloader
+
+from photoreg.errors import InputError
+from photoreg.formats.meshes.beside import find_beside
+from photoreg.formats.meshes.contents import (
+    MeshContents,
+    Picture,
+    colours_of,
+    texture_picture,
+)
+from photoreg.formats.meshes.polygons import triangle_corners
+from photoreg.limits import Limits
+
+_CURVED = (b"curv", b"curv2", b"surf", b"cstype", b"deg", b"bmat", b"step", b"con")
+"""Statements of surfaces that are not made of polygons."""
+
+
+_COMMENT = re.compile(rb"(?m)^([ \t]*(?:v|vt|vn|f)[ \t][^#\r\n]*)#[^\r\n]*")
+"""A comment behind numbers, which tinyobjloader does not expect."""
+
+
+@dataclasses.dataclass
+class _Lines:
+    """What the lines of the file say, counted without tinyobjloader."""
+
+    vertices: list[bytes] = dataclasses.field(default_factory=list)
+    n_faces: int = 0
+    material_files: list[str] = dataclasses.field(default_factory=list)
+    curved: str = ""
+    n_lines_and_points: int = 0
+
+
+def read_obj(path: Path, limits: Limits) -> MeshContents:
+    """Reads an OBJ file.
+
+    tinyobjloader reads faces and materials. Vertices are read here, to the last bit, and
+    lines of vertices and faces are counted here, so that nothing vanishes unseen.
+
+    Raises:
+        InputError: if a line is not understood, a face names what does not exist, or
+            the surface is not made of polygons.
+    """
+    # Other readers join a line that ends with a backslash to the next.
+    text = path.read_bytes().removeprefix(b"\xef\xbb\xbf").replace(b"\\\r\n", b" ")
+    text = text.replace(b"\\\n", b" ").replace(b"\0", b" ")
+    text = _COMMENT.sub(rb"\1", text)
+    lines = _lines(text)
+    if lines.curved:
+        raise InputError(
+            f"{path.name} holds a curved surface ({lines.curved}), not only polygons. "
+            "Export it as a polygon mesh."
+        )
+    vertices, colours = _vertices(path.name, lines.vertices)
+    materials, notes = _material_text(path, lines.material_files)
+    reader, config = tinyobjloader.ObjReader(), tinyobjloader.ObjReaderConfig()
+    config.triangulate = False
+    if not reader.ParseFromString(text.decode("utf-8", "replace"), materials, config):
+        line = re.search(r"[Ll]ine (\d+)", reader.Error())
+        raise InputError(
+            f"{path.name} could not be read as a mesh: "
+            f"{f'line {line[1]}' if line else 'a line'} is not understood, or names a "
+            "vertex that does not exist. Export it again."
+        )
+    complaints = reader.Warning()
+    if "out of bounds" in complaints:
+        raise InputError(
+            f"{path.name} has faces that name vertices, texture coordinates or normals "
+            f"that do not exist ({_one_line(complaints)}). Is the file complete?"
+        )
+    meshes: list[Any] = [shape.mesh for shape in reader.GetShapes()]
+    counts = _joined(mesh.num_face_vertices for mesh in meshes)
+    if len(counts) != lines.n_faces:
+        raise InputError(
+            f"{path.name} has {lines.n_faces:,} lines of faces, but {len(counts):,} "
+            "faces could be read; some have fewer than three corners or are not "
+            "understood. Export it again, triangulated."
+        )
+    corners = _joined(mesh.vertex_indices() for mesh in meshes)
+    if len(reader.GetAttrib().vertices) != 3 * len(vertices):
+        raise InputError(
+            f"{path.name} has {len(vertices):,} lines of vertices, but "
+            f"{len(reader.GetAttrib().vertices) // 3:,} could be read. Export it again."
+        )
+    cut, polygon = triangle_corners(vertices, corners, counts, path.name)
+    uv = _corner_uv(reader, meshes, cut)
+    normals, normal_note = _normals(reader, meshes, corners, len(vertices))
+    pictures, face_picture = [], None
+    if uv is not None:
+        pictures, face_picture, picture_notes = _pictures(path, reader, meshes, limits)
+        notes += picture_notes
+    if face_picture is not None:
+        face_picture = face_picture[polygon]
+    if lines.n_lines_and_points:
+        notes.append(
+            f"{lines.n_lines_and_points:,} lines and points, which are no surface, were "
+            "left out."
+        )
+    return MeshContents(
+        vertices=vertices,
+        faces=corners[cut],
+        corner_uv=uv,
+        pictures=pictures,
+        face_picture=face_picture,
+        vertex_colours=colours,
+        vertex_normals=normals,
+        notes=(*notes, *normal_note),
+    )
+
+
+def _lines(text: bytes) -> _Lines:
+    found = _Lines()
+    for line in text.splitlines():
+        words = line.split(None, 1)
+        if not words:
+            continue
+        key = words[0]
+        if key == b"v":
+            found.vertices.append(words[1] if len(words) > 1 else b"")
+        elif key == b"f":
+            found.n_faces += 1
+        elif key == b"mtllib" and len(words) > 1:
+            found.material_files.append(words[1].decode("utf-8", "replace").strip())
+        elif key in (b"l", b"p"):
+            found.n_lines_and_points += 1
+        elif key in _CURVED:
+            found.curved = found.curved or key.decode()
+    return found
+
+
+def _vertices(name: str, rows: list[bytes]) -> tuple[np.ndarray, np.ndarray | None]:
+    """Positions, and colours where every vertex has some."""
+    if not rows:
+        return np.zeros((0, 3)), None
+    widths = {len(row.partition(b"#")[0].split()) for row in rows}
+    try:
+        if len(widths) == 1:
+            (width,) = widths
+            table = np.array(b" ".join(rows).split(), dtype=np.float64)
+            table = table.reshape(len(rows), width)
+        else:
+            width = min(widths)
+            split = [row.partition(b"#")[0].split()[:width] for row in rows]
+            table = np.array(split, dtype=np.float64)
+    except ValueError as error:
+        raise InputError(
+            f"{name} could not be read as a mesh: there are words where the numbers of "
+            "a vertex should be. Export it again."
+        ) from error
+    if width < 3:
+        raise InputError(
+            f"{name} could not be read as a mesh: a vertex should have three numbers, "
+            f"but one has {width}. Export it again."
+        )
+    if width in (4, 7) and not (table[:, 3] == 1.0).all():
+        raise InputError(
+            f"{name} has vertices with a fourth coordinate other than 1 (weights of a "
+            "rational surface). Export it as a polygon mesh."
+        )
+    # x y z, or x y z w, and perhaps red, green, blue behind it.
+    colours = colours_of(table[:, -3:]) if width >= 6 else None
+    return np.ascontiguousarray(table[:, :3]), colours
+
+
+def _material_text(path: Path, names: list[str]) -> tuple[str, list[str]]:
+    """All MTL files of a mesh as one text, and what could not be read."""
+    texts, notes = [], []
+    for line in dict.fromkeys(names):
+        # A name may have spaces, or several names may stand on a line.
+        found, note = find_beside(path, line, "material file")
+        several = [find_beside(path, word, "material file") for word in line.split()]
+        if found is None and all(one for one, _ in several):
+            files = [one for one, _ in several if one is not None]
+        elif found is None:
+            notes.append(note)
+            continue
+        else:
+            files = [found]
+        texts += [file.read_bytes().decode("utf-8", "replace") for file in files]
+    return "\n".join(texts).replace("\ufeff", ""), notes
+
+
+def _joined(parts: Iterable[Any]) -> np.ndarray:
+    arrays = [np.array(part, dtype=np.int64) for part in parts]
+    return np.concatenate([*arrays, np.zeros(0, dtype=np.int64)])
+
+
+def _corner_uv(reader: Any, meshes: list[Any], cut: np.ndarray) -> np.ndarray | None:
+    index = _joined(mesh.texcoord_indices() for mesh in meshes)
+    table = np.array(reader.GetAttrib().texcoords, dtype=np.float64).reshape(-1, 2)
+    if len(table) == 0 or not (index >= 0).any():
+        return None
+    # Faces without coordinates among others that have them lie in one place.
+    rows = np.vstack([table, [[0.0, 0.0]]])
+    return rows[index][cut]
+
+
+def _normals(
+    reader: Any, meshes: list[Any], corners: np.ndarray, n: int
+) -> tuple[np.ndarray | None, list[str]]:
+    """One normal a vertex: where it has several, along hard edges, their mean."""
+    index = _joined(mesh.normal_indices() for mesh in meshes)
+    table = np.array(reader.GetAttrib().normals, dtype=np.float64).reshape(-1, 3)
+    if len(table) == 0 or not (index >= 0).all():
+        return None, []
+    pairs = np.unique(np.column_stack([corners, index]), axis=0)
+    normals = np.zeros((n, 3))
+    np.add.at(normals, pairs[:, 0], table[pairs[:, 1]])
+    lone = np.unique(np.column_stack([pairs[:, 0], table[pairs[:, 1]]]), axis=0)
+    note = "Where a vertex has several normals, along hard edges, their mean is kept."
+    return normals, [note] if len(lone) > len(np.unique(pairs[:, 0])) else []
+
+
+def _pictures(
+    path: Path, reader: Any, meshes: list[Any], limits: Limits
+) -> tuple[list[Picture], np.ndarray | None, list[str]]:
+    """The pictures of the materials, which of them each face shows, and what is missing."""
+    of_face = _joined(mesh.material_ids for mesh in meshes)
+    pictures: list[Picture] = []
+    number: dict[str, int] = {}
+    of_material, notes, plain = [], [], {}
+    for i, material in enumerate(reader.GetMaterials()):
+        name = material.diffuse_texname
+        if name and (of_face == i).any() and name not in number:
+            number[name] = -1
+            file, note = find_beside(path, name, "texture")
+            if file is not None:
+                picture, note = texture_picture(file, name, limits)
+                if picture is not None:
+                    number[name] = len(pictures)
+                    pictures.append(picture)
+            notes += [note] if note else []
+        of_material.append(number.get(name, -1))
+        plain[i] = np.rint(255.0 * np.clip(material.diffuse, 0.0, 1.0))
+    if not pictures:
+        return [], None, notes
+    for i, shown in enumerate(of_material):
+        if shown < 0:
+            of_material[i] = len(pictures)
+            pictures.append(np.full((8, 8, 3), plain[i], dtype=np.uint8))
+    return pictures, np.array([*of_material, -1])[of_face], notes
+
+
+def _one_line(text: str) -> str:
+    return re.sub(r"\s+", " ", text).strip(" .")[:120]

@@ -1,0 +1,120 @@
+"""A mesh from a file, in the format of its suffix."""
+
+import logging
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from photoreg.checks import check_input_file
+from photoreg.errors import InputError
+from photoreg.formats.meshes.contents import MeshContents, joined_pictures
+from photoreg.formats.meshes.glb import read_glb
+from photoreg.formats.meshes.headers import check_announced, check_counts
+from photoreg.formats.meshes.obj import read_obj
+from photoreg.formats.meshes.off import read_off
+from photoreg.formats.meshes.ply import read_ply
+from photoreg.formats.meshes.stl import read_stl
+from photoreg.limits import Limits
+from photoreg.mesh import Mesh, unit_rows
+from photoreg.sources import source_file
+
+_READERS: dict[str, Callable[[Path, Limits], MeshContents]] = {
+    ".obj": read_obj,
+    ".ply": read_ply,
+    ".stl": read_stl,
+    ".glb": read_glb,
+    ".off": read_off,
+}
+
+MESH_SUFFIXES = tuple(_READERS)
+"""Of the files that `load_mesh` reads."""
+
+# What it tells in tracebacks, photoreg tells in sentences.
+logging.getLogger("trimesh").setLevel(logging.CRITICAL)
+
+
+def load_mesh(path: Path | str, limits: Limits | None = None) -> Mesh:
+    """Loads OBJ, PLY, STL, GLB or OFF; units, axes, vertex and face order are the file's.
+
+    Args:
+        path: The file. What it names, an MTL or a texture, is read only from its folder.
+        limits: How large it may be; None: as the environment says.
+
+    Returns:
+        The mesh; its ``notes`` say what of the file was left out.
+
+    Raises:
+        InputError: if the file is missing, empty, unreadable, of another kind, too
+            large, holds no usable surface, or needs what is not understood.
+    """
+    limits = limits or Limits.of_environment()
+    path = check_input_file(Path(path), "mesh", limits.file_mb)
+    if path.suffix.lower() not in _READERS:
+        raise InputError(
+            f"{path.name} is not a mesh file photoreg reads: the suffix should be one "
+            f"of {', '.join(MESH_SUFFIXES)}."
+        )
+    check_announced(path, limits)
+    contents = _read(path, limits)
+    if len(contents.faces) == 0:
+        raise InputError(
+            f"{path.name} has no triangles ({len(contents.vertices):,} vertices only); "
+            "photographs need a surface. Triangulate the point cloud first."
+        )
+    check_counts(path.name, len(contents.vertices), len(contents.faces), limits)
+    contents, texture = joined_pictures(contents)
+    return Mesh(
+        contents.vertices,
+        contents.faces,
+        contents.corner_uv,
+        path.name,
+        source_file(path),
+        texture,
+        contents.vertex_colours,
+        _unit_normals(contents.vertex_normals),
+        contents.notes,
+    )
+
+
+def _read(path: Path, limits: Limits) -> MeshContents:
+    try:
+        with warnings.catch_warnings():
+            # numpy warns of what it then refuses, or reads up to.
+            warnings.simplefilter("ignore")
+            return _READERS[path.suffix.lower()](path, limits)
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:
+        raise InputError(
+            f"{path.name} could not be read as a mesh: {_reason(error)}. Is the file "
+            "complete?"
+        ) from error
+
+
+def _unit_normals(normals: np.ndarray | None) -> np.ndarray | None:
+    """Normals of length 1; None where some have no direction."""
+    if normals is None:
+        return None
+    unit = unit_rows(np.asarray(normals, dtype=np.float64))
+    return unit if (np.abs(np.linalg.norm(unit, axis=1) - 1.0) < 1e-6).all() else None
+
+
+def _reason(error: Exception) -> str:
+    """What a reader ran into, in words; its own where they are some."""
+    text = " ".join(str(error).split())
+    if "escapes resolver root" in text:
+        return "it names a file outside its own folder, which is not read"
+    if "PLY is unexpected length" in text:
+        return (
+            "its length is not what its header says, or its faces have different numbers "
+            "of corners (triangulate them)"
+        )
+    if isinstance(error, IndexError) or "index outside" in text:
+        return "it names vertices or parts that do not exist"
+    if isinstance(error, ValueError) and "could not be read to its end" in text:
+        return "there are words where numbers should be"
+    if isinstance(error, ValueError) and 20 < len(text) < 120 and "<" not in text:
+        return text.rstrip(".!")
+    return "its parts do not fit together"
