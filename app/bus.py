@@ -4,7 +4,6 @@ viser has no clicks in pictures, no lists and no dropped files. The scripts in s
 do these, and send what was done as JSON through a hidden text input.
 """
 
-import html
 import itertools
 import json
 from collections.abc import Callable
@@ -15,6 +14,7 @@ import viser
 
 from app.controls import guarded
 from app.incoming import LARGEST_NUMBER
+from app.markup import mounted
 from photoreg.errors import InputError
 from photoreg.limits import Limits
 
@@ -24,8 +24,6 @@ Whole = Annotated[int, msgspec.Meta(ge=-_MOST, le=_MOST)]
 
 Values = dict[str, Any]
 Handler = Callable[[Values, viser.ClientHandle], None]
-SCRIPTS = ("page", "picker", "view")
-NO_PICTURE = "data:image/png;base64,AA"
 
 
 class Bus:
@@ -82,27 +80,11 @@ class Bus:
         handler(checked, client)
 
     def _boot_html(self) -> str:
-        text, upload = self._text._impl.uuid, self.upload._impl.uuid
-        # The input must exist to take files, and need not be seen.
-        hide = (
-            "const hide=()=>{const f=document.getElementById('file_upload_"
-            + upload
-            + "');const b=f?.parentElement;if(!b)setTimeout(hide,50);"
-            + "else if(b.querySelectorAll('button').length===1)b.style.display='none'};"
-            + "hide();"
-        )
-        script = (
-            f"(p=>{{p.bus='{text}';p.upload='{upload}';"
-            + f"p.maxBytes={self.limits.file_bytes}}})(window.photoreg??={{}});"
-            + "if(!window.photoreg.booted){window.photoreg.booted=1;"
-            + f"for(const n of {json.dumps(SCRIPTS)})"
-            + "{const s=document.createElement('script');s.src='/photoreg/'+n+'.js';"
-            + "s.async=false;document.head.append(s)}}"
-            + hide
-        )
-        return (
-            f'<img src="{NO_PICTURE}" style="display:none" onerror="'
-            f'{html.escape(script, quote=True)}">'
+        return mounted(
+            "boot",
+            bus=self._text._impl.uuid,
+            upload=self.upload._impl.uuid,
+            bytes=str(self.limits.file_bytes),
         )
 
 
@@ -115,26 +97,3 @@ HALF_A_CHARACTER = (
 
 def _no_number(name: str) -> float:
     raise ValueError(f"{name} is no number of JSON.")
-
-
-def mounted(kind: str, **data: str) -> str:
-    """HTML that calls the page script's ``photoreg.define(kind, ...)`` when shown."""
-    script = (
-        "(p=>p.mount?p.mount(this):(p.waiting??=[]).push(this))(window.photoreg??={})"
-    )
-    fields = "".join(
-        f' data-{name}="{html.escape(value, quote=True)}"'
-        for name, value in data.items()
-    )
-    return (
-        f'<img src="{NO_PICTURE}" style="display:none" data-kind="{kind}"{fields} '
-        f'onerror="{script}">'
-    )
-
-
-def sending(act: str, **values: Any) -> str:
-    """An onclick attribute's text that sends this message."""
-    return html.escape(
-        f"event.stopPropagation();photoreg.send({json.dumps(act)},{json.dumps(values)})",
-        quote=True,
-    )

@@ -1,8 +1,8 @@
 """Before and after as HTML that works by itself: swipe, blink, heat maps beside."""
 
 import base64
-import html
 
+from app.markup import escaped
 from app.messages import PhotoComparison
 from photoreg.inconsistency import TOP_LEVELS
 
@@ -54,17 +54,16 @@ def swipe_html(before: bytes, after: bytes, left: str, right: str = "now") -> st
     """Two pictures with a line between them to be dragged, and a button to blink."""
     return (
         '<div class="pr-swipe">'
-        f'<img class="after" src="{data_uri(after)}" alt="{html.escape(right)}">'
-        f'<img class="before" src="{data_uri(before)}" alt="{html.escape(left)}">'
-        f'<i></i><b style="left:8px">{html.escape(left)}</b>'
-        f'<b style="right:8px">{html.escape(right)}</b>'
+        f'<img class="after" src="{data_uri(after)}" alt="{escaped(right)}">'
+        f'<img class="before" src="{data_uri(before)}" alt="{escaped(left)}">'
+        f'<i></i><b style="left:8px">{escaped(left)}</b>'
+        f'<b style="right:8px">{escaped(right)}</b>'
         '<input type="range" min="0" max="100" step="0.1" value="50" '
         'aria-label="Line between before and after" '
         'title="Drag the line: before at its left, after at its right" '
-        "oninput=\"this.parentNode.style.setProperty('--x',this.value+'%')\"></div>"
+        "data-swipe></div>"
         '<button class="pr-button" type="button" title="Shows before and after by '
-        'turns: what jumps has moved" onclick="this.previousElementSibling'
-        ".classList.toggle('blink')\">Blink</button>"
+        'turns: what jumps has moved" data-blink>Blink</button>'
     )
 
 
@@ -86,7 +85,7 @@ def beside_html(
     return (
         '<div class="pr-beside">'
         f'<div><img src="{data_uri(before)}" alt="disagreement before">'
-        f"<span>{html.escape(left)}: {words[0]}</span></div>"
+        f"<span>{escaped(left)}: {words[0]}</span></div>"
         f'<div><img src="{data_uri(after)}" alt="disagreement now">'
         f"<span>now: {words[1]}</span></div></div>"
         '<div class="pr-scale"></div><div class="pr-ends"><span>photos agree</span>'

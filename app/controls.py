@@ -8,6 +8,7 @@ from typing import Any
 import viser
 
 from app.failures import MESSAGE_SECONDS, UNFORESEEN, is_news, log_failure
+from app.markup import in_markdown
 from photoreg.errors import PhotoregError
 
 BRAND = (38, 166, 154)
@@ -183,7 +184,7 @@ def confirm(
     """Asks one browser before something is done; that may take long."""
     modal = client.gui.add_modal(title)
     with modal:
-        client.gui.add_markdown(text)
+        client.gui.add_markdown(in_markdown(text))
         do_it = client.gui.add_button(yes, color="red")
         leave_it = client.gui.add_button("Cancel", color="gray")
 

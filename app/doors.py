@@ -15,7 +15,6 @@ import ipaddress
 import logging
 import secrets
 import string
-from collections.abc import Callable
 from typing import Any
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
@@ -31,6 +30,7 @@ from app.guesses import Guesses
 from app.incoming import check_incoming
 from app.opening import static_folder
 from app.pictures import ROOT, Pictures
+from app.scripts import Hook, with_scripts
 from app.wakening import mend_wakening
 from photoreg.errors import InputError
 
@@ -46,7 +46,10 @@ SAFETY_HEADERS = {
     # itself, unpack themselves, and run in workers.
     "Content-Security-Policy": (
         "default-src 'none'; "
-        "script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; worker-src 'self' blob:; "
+        "script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; "
+        # No onclick= and the like: HTML of ours that let somebody's words through
+        # would run nothing.
+        "script-src-attr 'none'; worker-src 'self' blob:; "
         "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
         "font-src 'self' data:; connect-src 'self' data: blob:; "
         "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
@@ -288,7 +291,7 @@ def start_viser(doors: Doors, port: int, pictures: Pictures) -> viser.ViserServe
     serve = websocket_server.serve
 
     def serve_guarded(*args: Any, process_request: Any = None, **kwargs: Any) -> Any:
-        hook = guarded(doors, with_pictures(process_request, pictures))
+        hook = guarded(doors, with_pictures(with_scripts(process_request), pictures))
         return serve(*args, process_request=hook, server_header=None, **kwargs)
 
     websocket_server.serve = serve_guarded
@@ -302,9 +305,6 @@ def start_viser(doors: Doors, port: int, pictures: Pictures) -> viser.ViserServe
     for message in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):
         server._websock_server.unregister_handler(message)
     return server
-
-
-Hook = Callable[[ServerConnection, Request], Any]
 
 
 def guarded(doors: Doors, following: Hook) -> Hook:

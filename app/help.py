@@ -5,6 +5,7 @@ from typing import Any
 import viser
 
 from app.controls import guarded
+from app.markup import escaped
 
 SECTIONS = (
     (
@@ -69,8 +70,8 @@ def help_html() -> str:
     for title, entries in SECTIONS:
         rows = "".join(
             f'<tr><td style="padding:2px 14px 2px 0;vertical-align:top">'
-            f'<span style="{KEY}">{keys}</span></td>'
-            f'<td style="padding:2px 0">{what}</td></tr>'
+            f'<span style="{KEY}">{escaped(keys)}</span></td>'
+            f'<td style="padding:2px 0">{escaped(what)}</td></tr>'
             for keys, what in entries
         )
         tables += (

@@ -4,7 +4,7 @@ import json
 
 import viser
 
-from app.bus import mounted
+from app.markup import mounted
 
 
 def button_hints(gui: viser.GuiApi) -> str:

@@ -29,6 +29,7 @@ from app.session import Session, setting
 from app.state import Document, Job, State
 from photoreg.errors import InputError, PhotoregError
 from photoreg.project_files import keep_file, plain_name
+from photoreg.sources import read_regular
 
 MAX_FILES = 200
 
@@ -331,7 +332,7 @@ class Intake:
         """A file out of a zip, where it stays."""
         if kind_of(path) == CAMERAS:
             return path  # Only read.
-        return self._keep_file(plain_name(path.name), path.read_bytes())
+        return self._keep_file(plain_name(path.name), read_regular(path))
 
     def _new_folder(self) -> Path:
         folder = Path(self._folder.name) / str(next(self._count))

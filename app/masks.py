@@ -15,6 +15,7 @@ from PIL import Image
 
 from photoreg.errors import InputError
 from photoreg.photo_formats import JPEG, PNG, TIFF, WEBP
+from photoreg.sources import read_regular
 
 MASK_FORMATS = (PNG, JPEG, TIFF, WEBP)
 MASK_SUFFIXES = tuple(suffix for known in MASK_FORMATS for suffix in known.suffixes)
@@ -99,7 +100,7 @@ def load_mask(path: Path, width: int, height: int) -> bytes | None:
     Raises:
         InputError: if it is no picture, or of another shape than the photo.
     """
-    return mask_of(path.name, path.read_bytes(), width, height)
+    return mask_of(path.name, read_regular(path), width, height)
 
 
 def mask_of(name: str, content: bytes, width: int, height: int) -> bytes | None:

@@ -1,5 +1,6 @@
 """The line that is always on screen: how well the photos agree, in a number and words."""
 
+from app.markup import escaped
 from app.state import Agreement, State
 from app.words import number
 
@@ -47,9 +48,9 @@ def _bar(share: float, colour: str, title: str, text: str) -> str:
     return (
         f'<div title="{MEANING}" style="margin:0 12px 8px;line-height:1.35">'
         '<div style="display:flex;align-items:center;gap:10px;font-size:13px">'
-        f'<span style="font-weight:600;white-space:nowrap">{title}</span>'
+        f'<span style="font-weight:600;white-space:nowrap">{escaped(title)}</span>'
         '<span style="flex:1;height:6px;border-radius:3px;overflow:hidden;'
         'background:rgba(128,140,155,.25)"><span style="display:block;height:100%;'
         f'width:{100 * share:.0f}%;background:{colour}"></span></span></div>'
-        f'<div style="font-size:12px;opacity:.75">{text}</div></div>'
+        f'<div style="font-size:12px;opacity:.75">{escaped(text)}</div></div>'
     )

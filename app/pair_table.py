@@ -1,12 +1,11 @@
 """The table of a photo's point pairs, and what the solution says of them, as HTML."""
 
-import html
 from typing import Any
 
 import numpy as np
 
 from app import points
-from app.bus import sending
+from app.markup import escaped, sending
 from app.state import PointPair, State
 from photoreg.resection import N_FOCAL, N_POSE, N_PRINCIPAL
 
@@ -91,7 +90,7 @@ def _verdict_html(state: State) -> str:
     text = (
         f'<div style="margin-bottom:6px"><span style="font-size:18px;font-weight:650;'
         f'color:{colour}">± {error:.1f} px</span> expected over the surface<br>'
-        f'<span style="opacity:.75">{html.escape(resection.summary)}</span></div>'
+        f'<span style="opacity:.75">{escaped(resection.summary)}</span></div>'
     )
     left_out = bool((~resection.inliers).any())
     text += "".join(
@@ -120,7 +119,7 @@ def _note_html(text: str, bad: bool) -> str:
     return (
         f'<div style="border-left:3px solid rgb({colour});padding:4px 8px;'
         f"background:rgba({colour},.12);border-radius:0 5px 5px 0;margin-bottom:6px"
-        f'">{html.escape(text)}</div>'
+        f'">{escaped(text)}</div>'
     )
 
 
@@ -130,19 +129,20 @@ def _rows_html(state: State, name: str, rows: list[dict[str, Any]]) -> str:
     cells = []
     for row in rows:
         number = row["number"]
+        delete = escaped(f"Delete point {number}")
         colour = "#ff5f56" if row["bad"] else "#e8a33d" if row["worst"] else "inherit"
         remark = "does not fit" if row["bad"] else "largest" if row["worst"] else ""
         back = "rgba(45,190,175,.22)" if number == state.chosen_pair else "none"
         cells.append(
             f'<tr style="cursor:pointer;background:{back}" '
-            f'onclick="{sending("choose", photo=name, number=number)}">'
-            f'<td style="padding:2px 6px;font-weight:650">{number}</td>'
+            f"{sending('choose', photo=name, number=number)}>"
+            f'<td style="padding:2px 6px;font-weight:650">{escaped(number)}</td>'
             f'<td style="text-align:right;color:{colour};'
-            f'font-variant-numeric:tabular-nums">{row["text"]}</td>'
+            f'font-variant-numeric:tabular-nums">{escaped(row["text"])}</td>'
             f'<td style="padding-left:8px;color:{colour};opacity:.85">{remark}</td>'
-            f'<td style="text-align:right"><button aria-label="Delete point {number}" '
-            f'title="Delete point {number}" style="{_CROSS}" '
-            f'onclick="{sending("delete", photo=name, number=number)}">✕</button></td>'
+            f'<td style="text-align:right"><button aria-label="{delete}" '
+            f'title="{delete}" style="{_CROSS}" '
+            f"{sending('delete', photo=name, number=number)}>✕</button></td>"
             "</tr>"
         )
     head = '<tr style="opacity:.6;font-size:12px"><td style="padding:0 6px">Point</td>'

@@ -1,14 +1,14 @@
 """Tab 1, Data: the mesh, the photos, the cameras' file."""
 
-import html
 import math
 
 import viser
 
 from app import photo_list
-from app.bus import Bus, Values, Whole, sending
+from app.bus import Bus, Values, Whole
 from app.conductor import Conductor
 from app.controls import guarded, guarded_slow, put, put_value
+from app.markup import escaped, sending
 from app.placement import guessed_focal_px
 from app.points import index_of_photo
 from app.session import select, setting
@@ -130,7 +130,7 @@ class DataPanel:
     def _card(self, index: int, entry: PhotoEntry, state: State, busy: bool) -> str:
         # By its address: the cards are sent anew with every step of a run.
         picture = self._conductor.pictures.address(entry.photo, "thumbnail")
-        name = html.escape(entry.name, quote=True)
+        name = escaped(entry.name)
         edge = "#2dbeaf" if index == state.selected else "transparent"
         faded = "" if entry.enabled else "opacity:.5;"
         facts = [f"{entry.photo.width} × {entry.photo.height} px"]
@@ -139,10 +139,6 @@ class DataPanel:
         if entry.mask_png is not None:
             facts.append("mask")
         last = index == len(state.photos) - 1
-        rename = (
-            "event.stopPropagation();const c=this.closest('[data-photo]');"
-            "photoreg.rename(c.querySelector('.pr-name'),c.dataset.photo)"
-        )
         buttons = (
             _button("▲", f"Move {name} up", busy or index == 0, "shift", entry, by=-1)
             + _button("▼", f"Move {name} down", busy or last, "shift", entry, by=1)
@@ -156,20 +152,20 @@ class DataPanel:
             )
             + f'<button title="Rename {name}" aria-label="Rename {name}" '
             f'style="{_SMALL}{_DIM if busy else ""}" {"disabled" if busy else ""} '
-            f'onclick="{rename}">✎'
-            "</button>" + _button("✕", f"Remove {name}", busy, "remove", entry)
+            "data-rename>✎</button>"
+            + _button("✕", f"Remove {name}", busy, "remove", entry)
         )
         return (
             f'<div role="button" aria-label="Photo {name}" data-photo="{name}" '
             f'aria-pressed="{str(index == state.selected).lower()}" '
             f'style="{_CARD}cursor:pointer;border-left:3px solid {edge}" '
-            f'onclick="{sending("select", photo=entry.name)}">'
+            f"{sending('select', photo=entry.name)}>"
             f'<img src="{picture}" alt="" style="width:64px;height:56px;'
             f'object-fit:cover;border-radius:4px;{faded}">'
             f'<div style="min-width:0;flex:1"><div style="{_NAME};{faded}" '
-            f'class="pr-name" title="{name}">{index + 1}. {html.escape(entry.name)}'
+            f'class="pr-name" title="{name}">{index + 1}. {escaped(entry.name)}'
             f'</div><div style="{_FACTS};line-height:1.35">{" · ".join(facts)}<br>'
-            f"{html.escape(focal_text(entry))}</div>"
+            f"{escaped(focal_text(entry))}</div>"
             f'<div style="display:flex;gap:3px;margin-top:4px">{buttons}</div>'
             "</div></div>"
         )
@@ -193,7 +189,7 @@ def _button(
         f'<button title="{title}" aria-label="{title}" style="{_SMALL}'
         f'{_DIM if disabled else ""}" '
         f"{'disabled' if disabled else ''} "
-        f'onclick="{sending(act, photo=entry.name, **values)}">{text}</button>'
+        f"{sending(act, photo=entry.name, **values)}>{text}</button>"
     )
 
 
@@ -217,7 +213,7 @@ _FACTS = "font-size:12px;opacity:.7"
 def _opening_html(state: State, busy: bool, limits: Limits) -> str:
     """The button that opens files; while one is read, which."""
     job = state.job
-    text = "Open files …" if job is None else f"{html.escape(job.title)} …"
+    text = "Open files …" if job is None else f"{escaped(job.title)} …"
     no_photos = busy or not state.document.photos
     return (
         '<div style="margin:4px 12px 10px">'
@@ -256,7 +252,7 @@ def _big_button(
         f'<button title="{title}" {"disabled" if disabled else ""} '
         'style="font:inherit;font-size:14px;'
         f"font-weight:600;border:0;border-radius:5px;padding:9px;width:100%;{colours};"
-        f'{dim}" onclick="photoreg.choose(\'{accept}\')">{text}</button>'
+        f'{dim}" data-choose="{accept}">{text}</button>'
     )
 
 
@@ -266,7 +262,7 @@ def _mesh_card(state: State) -> str:
         name, facts = "No mesh yet", "Open one to begin."
     else:
         size = mesh.bounds[1] - mesh.bounds[0]
-        name = html.escape(mesh.name)
+        name = escaped(mesh.name)
         facts = f"{len(mesh.faces):,} triangles · " + " × ".join(
             f"{side:.3g}" for side in size
         )

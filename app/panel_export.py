@@ -2,7 +2,6 @@
 
 import base64
 import dataclasses
-import html
 from collections.abc import Callable
 from typing import Any
 
@@ -11,6 +10,7 @@ import viser
 from app.bus import Bus
 from app.conductor import Conductor
 from app.controls import guarded, guarded_slow, notify, put, put_value
+from app.markup import escaped, in_markdown
 from app.session import setting
 from app.state import State, Texture
 from app.widgets import HELP, Choice, Option, help_line
@@ -210,15 +210,15 @@ class ExportPanel:
 
 def _text(state: State) -> str:
     if state.job is not None:
-        return f"{state.job.title} …"
+        return f"{in_markdown(state.job.title)} …"
     if state.run.status == "review":
         return "Accept or revert the refinement first."
     if state.texture is None:
         return "Not made yet."
     if state.texture_is_current:
-        return state.texture.summary
+        return in_markdown(state.texture.summary)
     return (
-        f"{state.texture.summary}\n\n⚠ Cameras or settings have changed since. Make it "
+        f"{in_markdown(state.texture.summary)}\n\n⚠ Cameras or settings have changed since. Make it "
         "again."
     )
 
@@ -241,7 +241,7 @@ def _size(value: str) -> int | str:
 
 def _coverage_html(texture: Texture) -> str:
     rows = [
-        (f"rgb{colour}", html.escape(name), share)
+        (escaped(f"rgb{colour}"), escaped(name), share)
         for name, share, colour in texture.coverage
     ]
     unseen = max(0.0, 1.0 - sum(share for _, _, share in rows))

@@ -5,6 +5,7 @@ import dataclasses
 import viser
 
 from app.controls import guarded, put, put_value
+from app.markup import in_markdown
 from app.session import Session, setting
 from app.state import HeldPart, State
 from photoreg.box_reach import BoxReach
@@ -118,7 +119,8 @@ class FreedomPanel:
         self._nodes, self._ticks, self._held = [], {}, set()
         with self._fold:
             for number, name in enumerate(self._names, 1):
-                self._nodes.append(self._gui.add_markdown(f"**{number}. {name}**"))
+                title = f"**{number}. {in_markdown(name)}**"
+                self._nodes.append(self._gui.add_markdown(title))
                 for part, (label, help) in PARTS.items():
                     tick = self._gui.add_checkbox(label, False, hint=help)
                     self._ticks[name, part] = tick

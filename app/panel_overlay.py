@@ -1,6 +1,5 @@
 """The panel on the left: the overlay while a run goes on, before and after once it ended."""
 
-import html
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ from app.bus import Bus
 from app.compare_view import SWIPE_STYLE, comparison_html
 from app.conductor import Conductor
 from app.controls import guarded, put, put_value
+from app.markup import escaped
 from app.messages import Compared
 from app.run import CurvePoint
 from app.session import setting
@@ -200,8 +200,8 @@ def _caption(state: State) -> str:
         onto = state.overlay_onto
         source = used[(onto + 1) % len(used)]
         text = (
-            f"<b>{html.escape(source.name)}</b> carried over the surface onto "
-            f"<b>{html.escape(used[onto].name)}</b>"
+            f"<b>{escaped(source.name)}</b> carried over the surface onto "
+            f"<b>{escaped(used[onto].name)}</b>"
         )
         if state.run.error_px is not None:
             text += f" · true error <b>{state.run.error_px:.2f} px</b>"

@@ -9,10 +9,11 @@ import numpy as np
 import viser
 
 from app import points
-from app.bus import Bus, Number, Values, Whole, mounted
+from app.bus import Bus, Number, Values, Whole
 from app.conductor import Conductor
 from app.controls import guarded, guarded_slow, in_background, put, put_value
 from app.markers import Pull
+from app.markup import mounted
 from app.masks import MASK_SUFFIXES, mask_of, painted_mask
 from app.pair_table import pair_rows, table_html
 from app.panel_data import index_of, photo_options

@@ -1,7 +1,6 @@
 """The project in the Data tab: its name and place, new, open, save as, files to find."""
 
 import contextlib
-import html
 from collections.abc import Callable, Iterator
 
 import viser
@@ -9,6 +8,7 @@ import viser
 from app import shelf
 from app.conductor import Conductor
 from app.controls import confirm, guarded, guarded_slow, put, put_value
+from app.markup import escaped
 from app.projects import NOT_KEPT
 from app.state import State
 from app.widgets import help_line
@@ -138,7 +138,7 @@ class ProjectPanel:
                     icon=viser.Icon.FOLDER_OPEN,
                     color="gray",
                 )
-                client.gui.add_html(help_line(html.escape(str(folder))))
+                client.gui.add_html(help_line(escaped(str(folder))))
                 question.answer(
                     button, lambda folder=folder: self._projects.open(folder)
                 )
@@ -205,10 +205,10 @@ class ProjectPanel:
         for button in (self._new, self._open, self._save):
             put(button, "disabled", busy)
         if project is None:
-            name, facts = "not kept", html.escape(state.saving or NOT_KEPT)
+            name, facts = "not kept", escaped(state.saving or NOT_KEPT)
         else:
             name = project.folder.name
-            facts = f"In {html.escape(str(project.folder))}.<br>" + (
+            facts = f"In {escaped(str(project.folder))}.<br>" + (
                 "Open to look at only; the line at the top says why."
                 if project.read_only
                 else "Everything is kept as you work, undo included."
@@ -241,7 +241,7 @@ def _question(name: str, problems: list[FileProblem]) -> str:
         '<div style="margin:10px 12px 8px;padding:10px 12px;border-radius:6px;'
         "background:rgba(232,163,61,.16);border-left:3px solid #e8a33d;font-size:13px;"
         'line-height:1.4;overflow-wrap:anywhere"><b>Before '
-        f"{html.escape(name)} opens{count}</b><br>{html.escape(problem.sentence)} {what}"
+        f"{escaped(name)} opens{count}</b><br>{escaped(problem.sentence)} {what}"
         "</div>"
     )
 
@@ -298,6 +298,6 @@ def _objection_html(sentence: str) -> str:
     return (
         '<div role="alert" style="margin:2px 12px 10px;padding:8px 10px;border-radius:'
         "6px;background:rgba(229,72,77,.16);border-left:3px solid #e5484d;"
-        f'font-size:13px;line-height:1.4;overflow-wrap:anywhere">{html.escape(sentence)}'
+        f'font-size:13px;line-height:1.4;overflow-wrap:anywhere">{escaped(sentence)}'
         "</div>"
     )

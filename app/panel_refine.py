@@ -1,11 +1,10 @@
 """Tab 3, Refine: choose, start, watch, pause, stop; accept or revert."""
 
-import html
-
 import viser
 
 from app.conductor import Conductor
 from app.controls import guarded, guarded_slow, put, put_value
+from app.markup import escaped, in_markdown
 from app.outcomes import has_moved
 from app.panel_advanced import AdvancedPanel
 from app.panel_freedom import FreedomPanel
@@ -197,8 +196,8 @@ def verdict_html(run: Run) -> str:
         f'<div style="margin:2px 12px 8px;padding:8px 11px;border-radius:7px;'
         f"border-left:4px solid {colour};background:{colour}22;font-size:13px;"
         f'line-height:1.4"><b><span style="color:{colour}">{sign}</span> '
-        f"{html.escape(word)}</b><br>"
-        f"{html.escape(reason[:1].upper() + reason[1:])}</div>"
+        f"{escaped(word)}</b><br>"
+        f"{escaped(reason[:1].upper() + reason[1:])}</div>"
     )
 
 
@@ -228,7 +227,9 @@ def _checks(state: State) -> str:
         f"The photos overlap in **{100.0 * readiness.overlap:.0f} %** of the surface "
         "that they see."
     )
-    return text + "".join(f"\n\n⚠ {problem}" for problem in readiness.problems)
+    return text + "".join(
+        f"\n\n⚠ {in_markdown(problem)}" for problem in readiness.problems
+    )
 
 
 def _report(state: State, ready: bool) -> str:
@@ -248,14 +249,15 @@ def _report(state: State, ready: bool) -> str:
 
 def _outcome(run: Run) -> str:
     took = f" {run.elapsed_s:.1f} s." if run.elapsed_s > 0 else ""
-    warnings = "".join(f"\n\n⚠ {warning}" for warning in run.warnings)
+    warnings = "".join(f"\n\n⚠ {in_markdown(warning)}" for warning in run.warnings)
     advice = ""
     if not has_moved(run):
         advice = (
             "\n\nThe cameras are as they were. Align them more closely in tab 2, or try "
             "Thorough."
         )
-    return f"**Run {run.number}.** {run.outcome}{took}{advice}{warnings}"
+    outcome = in_markdown(run.outcome)
+    return f"**Run {in_markdown(run.number)}.** {outcome}{took}{advice}{warnings}"
 
 
 def _progress(run: Run) -> str:
@@ -265,7 +267,7 @@ def _progress(run: Run) -> str:
     if run.status in ("paused", "stopping"):
         phase = "Paused" if run.status == "paused" else "Stopping"
     step = run.step.removeprefix("polish, ")
-    text = f"**{phase}**" + (f": {step}" if step else "")
+    text = f"**{phase}**" + (f": {in_markdown(step)}" if step else "")
     text += f"\n\n{run.elapsed_s:.1f} s at work"
     if run.time_left_s is not None and run.status == "running":
         text += f", about {in_words(run.time_left_s)} left"
@@ -304,10 +306,10 @@ def _certainty(run: Run) -> str:
     sentences = [
         words.replace(" %", "\N{NO-BREAK SPACE}%") for words in run.standard_errors
     ]
-    sure = "".join(f"\n- {words}" for words in sentences)
+    sure = "".join(f"\n- {in_markdown(words)}" for words in sentences)
     text = f"\n\n**How sure**\n{sure}"
     if run.undetermined:
-        weak = "".join(f"\n- {sentence}" for sentence in run.undetermined)
+        weak = "".join(f"\n- {in_markdown(sentence)}" for sentence in run.undetermined)
         text += (
             f"\n\n**Badly determined**\n{weak}\n\n*If you know one of these, set it in "
             "tab 2 and tick it under What may move; a photo from another side helps too.*"

@@ -4,6 +4,7 @@ import viser
 
 from app.conductor import Conductor
 from app.controls import guarded, put, put_value
+from app.markup import in_markdown
 from app.run import Run
 from app.session import looking_at, setting
 from app.state import State, same_camera
@@ -79,7 +80,8 @@ def table(state: State) -> str:
         seed = run.config.seed if run.config is not None else 0
         mark = " ✓" if in_use(state, run) else ""
         rows.append(
-            f"| {run.number}{mark} | {run.settings_name} | {seed} | {cost} | {pixels} | "
+            f"| {in_markdown(run.number)}{mark} | {in_markdown(run.settings_name)} | "
+            f"{in_markdown(seed)} | {cost} | {pixels} | "
             f"{in_words(run.elapsed_s)} |"
         )
     note = "\n\n*✓: its cameras are in use. px: true error where it is known, else the expected one.*"

@@ -26,9 +26,9 @@ from app.canvas import (
 )
 from app.conductor import Conductor
 from app.controls import put
+from app.markup import mounted
 from app.scene import Scene
 from app.state import PhotoEntry, State
-from app.widgets import run_in_page
 from photoreg.camera import Camera
 from photoreg.photo import Photo
 
@@ -60,8 +60,8 @@ class PhotoView:
         self._canvas = (0, 0)
         self._small: tuple[Photo, Photo] | None = None
         self._script = client.gui.add_html("")
-        self._ran = ""
-        self._n_scripts = itertools.count()
+        self._fit = "null"
+        self._count = itertools.count()
 
     @property
     def has_plane(self) -> bool:
@@ -150,15 +150,14 @@ class PhotoView:
         view = self.client.camera
         self._canvas = (view.image_width, view.image_height)
         view.fov = self.view_angle(camera, zoom)
-        fit = float(np.degrees(self.view_angle(camera)))
-        self._run(f"window.photoreg?.inspect?.({json.dumps(round(fit, 9))})")
+        self._inspect(round(float(np.degrees(self.view_angle(camera))), 9))
 
     def remove_plane(self) -> None:
         """Ends Inspect: the wheel and the mouse work as before, too."""
         if self._plane is not None:
             self._plane.root.remove()
             self._plane = None
-        self._run("window.photoreg?.inspect?.(null)")
+        self._inspect(None)
 
     def view_angle(self, camera: Camera, zoom: float = 1.0) -> float:
         """Vertical field of view, in radians, that shows 1/zoom of the photo."""
@@ -185,13 +184,15 @@ class PhotoView:
             picture(), format="jpeg", jpeg_quality=88
         )
 
-    def _run(self, script: str) -> None:
-        """Runs a line of JavaScript in this browser, unless it was the last one."""
-        if self._ran == script:
+    def _inspect(self, fit_deg: float | None) -> None:
+        """Tells this browser which view angle shows the whole photo; None: not Inspect."""
+        fit = json.dumps(fit_deg)
+        if self._fit == fit:
             return
-        self._ran = script
-        # The number makes it new to the page, which runs only what has changed.
-        self._script.content = run_in_page(f"{script};/*{next(self._n_scripts)}*/")
+        self._fit = fit
+        # The number makes it new to the page, which hears only of what has changed.
+        count = str(next(self._count))
+        self._script.content = mounted("inspect", fit=fit, count=count)
 
 
 def _plane_pixels(entry: PhotoEntry) -> np.ndarray:

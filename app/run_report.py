@@ -1,7 +1,6 @@
 """The report of a run: one HTML file that needs no server, to be sent to a colleague."""
 
 import dataclasses
-import html
 import importlib.metadata
 import math
 import platform
@@ -9,6 +8,7 @@ import string
 from typing import Any
 
 from app.compare_view import SWIPE_STYLE, comparison_html
+from app.markup import escaped
 from app.messages import Compared
 from app.opening import static_folder
 from app.run import CurvePoint, Run
@@ -25,21 +25,25 @@ def report_html(state: State, compared: Compared) -> str:
     run = state.run
     left = f"run {state.compared_with}" if state.compared_with else "start"
     mesh = state.document.mesh
-    template = (static_folder() / "compare.html").read_text(encoding="utf-8")
+    template, script = (
+        (static_folder() / name).read_text(encoding="utf-8")
+        for name in ("compare.html", "compare.js")
+    )
     pictures = "".join(
-        f"<h3>{html.escape(photo.carried)} carried over the surface onto "
-        f"{html.escape(photo.name)}</h3>" + comparison_html(photo, left)
+        f"<h3>{escaped(photo.carried)} carried over the surface onto "
+        f"{escaped(photo.name)}</h3>" + comparison_html(photo, left)
         for photo in compared.photos
     )
     return string.Template(template).substitute(
-        title=html.escape(f"Run {run.number}: {', '.join(run.photo_names)}"),
-        subtitle=html.escape(
+        title=escaped(f"Run {run.number}: {', '.join(run.photo_names)}"),
+        subtitle=escaped(
             f"{mesh.name if mesh is not None else ''} · {run.began} · "
             f"{run.settings_name}"
         ),
-        outcome=html.escape(f"{run.outcome} {run.verdict}"),
+        outcome=escaped(f"{run.outcome} {run.verdict}"),
         warnings=_list([f"⚠ {warning}" for warning in run.warnings]),
         style=SWIPE_STYLE,
+        script=script,
         pictures=pictures,
         numbers=_rows(_numbers(run)),
         certainty=_list([*run.standard_errors, *run.undetermined])
@@ -118,7 +122,7 @@ def _cameras(run: Run) -> str:
 
 def _rows(rows: list[tuple[str, str]]) -> str:
     body = "".join(
-        f"<tr><th>{html.escape(name)}</th><td>{html.escape(value)}</td></tr>"
+        f"<tr><th>{escaped(name)}</th><td>{escaped(value)}</td></tr>"
         for name, value in rows
     )
     return f"<table>{body}</table>"
@@ -127,7 +131,7 @@ def _rows(rows: list[tuple[str, str]]) -> str:
 def _list(sentences: list[str]) -> str:
     if not sentences:
         return ""
-    return "<ul>" + "".join(f"<li>{html.escape(s)}</li>" for s in sentences) + "</ul>"
+    return "<ul>" + "".join(f"<li>{escaped(s)}</li>" for s in sentences) + "</ul>"
 
 
 def curve_svg(curve: tuple[CurvePoint, ...]) -> str:

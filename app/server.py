@@ -6,7 +6,6 @@ so that nothing flickers however fast the changes come.
 
 import contextlib
 import dataclasses
-import html
 import io
 import threading
 import time
@@ -16,7 +15,7 @@ from typing import Any, cast
 import numpy as np
 import viser
 
-from app.bus import Bus, sending
+from app.bus import Bus
 from app.canvas import backdrop
 from app.conductor import Conductor
 from app.controls import BRAND, guarded, guarded_client, has_left, notify, put, report
@@ -26,6 +25,7 @@ from app.hands import Hands
 from app.hearing_out import hear_out
 from app.help import Help
 from app.hints import button_hints
+from app.markup import escaped, sending
 from app.meter import meter_html
 from app.panel_align import AlignPanel
 from app.panel_data import DataPanel
@@ -442,7 +442,7 @@ def status_line(state: State, is_kept: bool = True) -> str:
         'margin:10px 12px 8px;font-size:13px;line-height:1.3"><span style="width:9px;'
         f'height:9px;border-radius:50%;background:{colour};flex:none"></span>'
         '<span style="flex:1;min-width:0;overflow-wrap:anywhere" role="status">'
-        f"{html.escape(text)}</span>{tail}</div>"
+        f"{escaped(text)}</span>{tail}</div>"
     )
 
 
@@ -454,7 +454,7 @@ def _job_html(job: Job) -> str:
             '<button title="Ends it; nothing will have changed" style="font:inherit;'
             "font-size:12.5px;color:inherit;background:rgba(128,140,155,.25);border:0;"
             'border-radius:5px;padding:3px 10px;cursor:pointer" '
-            f'onclick="{sending("stop")}">Cancel</button>'
+            f"{sending('stop')}>Cancel</button>"
         )
     return (
         f'{button}<span role="progressbar" aria-valuenow="{100 * job.fraction:.0f}" '

@@ -16,6 +16,7 @@ from photoreg.errors import InputError
 from photoreg.project import DATABASE
 from photoreg.project_files import plain_name
 from photoreg.project_folder import identity, look, open_regular
+from photoreg.sources import read_regular
 
 MAX_RECENT = 12
 LOG_FILE = "photoreg.log"
@@ -103,7 +104,7 @@ def remember(folder: Path) -> None:
 
 def _listed() -> list[Path]:
     try:
-        listed = json.loads((data_folder() / "recent.json").read_text("utf-8"))
+        listed = json.loads(read_regular(data_folder() / "recent.json"))
         return [Path(path) for path in listed if isinstance(path, str)]
     except (OSError, ValueError, TypeError):
         return []

@@ -1,16 +1,15 @@
 """Controls that viser lacks, as HTML: a row of choices, a row of tool buttons."""
 
-import html
 import itertools
-import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import viser
 from viser._icons import svg_from_icon
 
-from app.bus import Bus, Values, sending
+from app.bus import Bus, Values
 from app.controls import put
+from app.markup import escaped, sending
 from photoreg.errors import InputError
 
 SELECTED = "background:#26a69a;color:#04211e;font-weight:600"
@@ -53,14 +52,8 @@ Heard = Callable[[viser.ClientHandle, str], object]
 _numbers = itertools.count()
 
 
-def run_in_page(script: str) -> str:
-    """HTML that runs ``script`` when it appears; scripts proper do not, in viser."""
-    code = html.escape(script, quote=True)
-    return f'<img src="data:image/png;base64,AA" alt="" style="display:none" onerror="{code}">'
-
-
 def help_line(text: str) -> str:
-    """A line of help in small print."""
+    """A line of help, which is HTML, in small print."""
     return f'<div style="{HELP}">{text}</div>' if text else ""
 
 
@@ -101,9 +94,9 @@ class Choice:
         buttons = "".join(
             _button(
                 _sending(self._act, key),
-                option.label,
+                escaped(option.label),
                 f'role="radio" aria-checked="{str(key == value).lower()}" '
-                f'title="{html.escape(option.title or _plain(option.help))}"',
+                f'title="{escaped(option.title or _plain(option.help))}"',
                 (SELECTED if key == value else "")
                 + (";padding:4px 3px" if is_tight else ""),
                 option.enabled,
@@ -120,9 +113,9 @@ class Choice:
         put(
             self._html,
             "content",
-            f'<div style="{ROW}"><div style="{LABEL}">{html.escape(self._label)}</div>'
+            f'<div style="{ROW}"><div style="{LABEL}">{escaped(self._label)}</div>'
             f'<div style="{TROUGH}{columns}" role="radiogroup" aria-label='
-            f'"{html.escape(self._label)}">{buttons}</div></div>'
+            f'"{escaped(self._label)}">{buttons}</div></div>'
             + (f'<div style="{HELP};display:grid">{helps}</div>' if helps else ""),
         )
         put(self._html, "visible", visible)
@@ -158,9 +151,8 @@ class Tools:
         buttons = "".join(
             _button(
                 (_holding if self._repeat else _sending)(self._act, tool.value),
-                (_icon(tool.icon) if tool.icon else "") + html.escape(tool.label),
-                f'aria-label="{html.escape(tool.title)}" '
-                f'title="{html.escape(tool.title)}"',
+                (_icon(tool.icon) if tool.icon else "") + escaped(tool.label),
+                f'aria-label="{escaped(tool.title)}" title="{escaped(tool.title)}"',
                 f"flex:{1 if tool.label or not worded else '0 0 34px'};padding:4px 3px"
                 ";text-align:center",
                 tool.enabled,
@@ -168,9 +160,7 @@ class Tools:
             for tool in tools
         )
         label = (
-            f'<div style="{LABEL}">{html.escape(self._label)}</div>'
-            if self._label
-            else ""
+            f'<div style="{LABEL}">{escaped(self._label)}</div>' if self._label else ""
         )
         put(
             self._html,
@@ -194,16 +184,12 @@ def _listen(bus: Bus, heard: Heard, is_there: Callable[[str], bool]) -> str:
 
 
 def _sending(act: str, value: str) -> str:
-    return f'onclick="{sending(act, value=value)}"'
+    return sending(act, value=value)
 
 
 def _holding(act: str, value: str) -> str:
-    """Goes on telling ``value`` while held; a click without a press is the keyboard's."""
-    message = html.escape(f"{json.dumps(act)},{json.dumps(value)}", quote=True)
-    return (
-        f'onpointerdown="photoreg.hold(event,{message})" '
-        f'onclick="event.detail||{sending(act, value=value)}"'
-    )
+    """Goes on telling ``value`` while held."""
+    return sending(act, value=value).replace("data-send", "data-hold", 1)
 
 
 def _button(action: str, inner: str, attributes: str, style: str, enabled: bool) -> str:

@@ -1,5 +1,6 @@
 """A triangle mesh: check, normals, decimate, cast rays. The only module that knows embree."""
 
+import contextlib
 import dataclasses
 import functools
 from typing import Any
@@ -12,7 +13,13 @@ from jaxtyping import Bool, Float, Int, UInt8
 from photoreg import decimation
 from photoreg.checks import check_points
 from photoreg.errors import InputError
+<<<<<<< HEAD
 from photoreg.sources import SourceFile
+=======
+from photoreg.limits import Limits
+from photoreg.mesh_headers import check_announced, check_counts
+from photoreg.sources import SourceFile, open_for_reading, read_regular, source_file
+>>>>>>> 59a6e63 (Words and files of others stay words and files: no script runs from a project, and nothing but a regular file is opened)
 
 _HASH_FACTORS = np.array(
     [0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64
@@ -257,7 +264,225 @@ class Mesh:
         return Mesh(vertices, faces, name=self.name)
 
 
+<<<<<<< HEAD
 def unit_rows(rows: np.ndarray) -> np.ndarray:
     """Rows divided by their length; zero stays zero."""
+=======
+def load_mesh(path: Path | str, limits: Limits | None = None) -> Mesh:
+    """Loads OBJ, PLY, STL, GLB or OFF; units, axes and vertex order are untouched.
+
+    Args:
+        path: The file. What it names, an MTL or a texture, is read only from its folder.
+        limits: How large it may be; None: as the environment says.
+
+    Raises:
+        InputError: if the file is missing, empty, unreadable, of another kind, too
+            large, or holds no usable surface.
+    """
+    limits = limits or Limits.of_environment()
+    path = check_input_file(Path(path), "mesh", limits.file_mb)
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise InputError(
+            f"{path.name} is not a mesh file photoreg reads: the suffix should be one "
+            f"of {', '.join(MESH_SUFFIXES)}."
+        )
+    check_announced(path, limits)
+    loaded = _read(path, limits)
+    vertices, faces = np.asarray(loaded.vertices), np.asarray(loaded.faces)
+    corner_uv = _corner_uv(loaded)
+    if path.suffix.lower() == ".obj" and corner_uv is not None:
+        # Kept in the file's order, a vertex has one texture coordinate even where the
+        # file gives it several; only split by coordinate are the corners right.
+        split = _read(path, limits, maintain_order=False)
+        corner_uv = None
+        if np.array_equal(split.vertices[split.faces], vertices[faces]):
+            corner_uv = _corner_uv(split)
+    if path.suffix.lower() == ".ply" and corner_uv is not None:
+        vertices, faces = _as_in_ply(loaded, vertices, faces)
+    normals = _vertex_normals(loaded, len(vertices))
+    colours = _vertex_colours(loaded)
+    if colours is not None and len(colours) != len(vertices):
+        colours = None
+    if path.suffix.lower() == ".stl":
+        # An STL repeats each corner; the same position is the same vertex.
+        vertices, index = np.unique(vertices, axis=0, return_inverse=True)
+        faces = index.reshape(-1)[faces]
+        normals = colours = None
+    texture = None if corner_uv is None else _texture(loaded, limits)
+    source = source_file(path)
+    return Mesh(
+        vertices, faces, corner_uv, path.name, source, texture, colours, normals
+    )
+
+
+class _OwnFolder(FilePathResolver):
+    """What a mesh names, an MTL file or a texture: regular files of its own folder."""
+
+    def __init__(self, path: Path, limits: Limits) -> None:
+        super().__init__(str(path))
+        self._limits = limits
+
+    def absolute(self, name: str) -> Path:
+        """The path of a name; it counts as read."""
+        path = super().absolute(name)
+        note_input(path)
+        return path
+
+    def get(self, name: str) -> bytes:
+        """The content of a file that the mesh names.
+
+        Raises:
+            InputError: if it is not a file or too large.
+            ValueError: if it is outside of the mesh's own folder.
+            OSError: if it is not there or cannot be read.
+        """
+        for candidate in (name.strip(), name.strip().lstrip("/"), Path(name).name):
+            with contextlib.suppress(ValueError):
+                path = self.absolute(candidate)
+                if path.exists():
+                    check_input_file(path, "file", self._limits.file_mb)
+                    return read_regular(path)
+        self.absolute(name)
+        raise FileNotFoundError(name)
+
+
+def _read(path: Path, limits: Limits, maintain_order: bool = True) -> trimesh.Trimesh:
+    try:
+        with warnings.catch_warnings():
+            # numpy warns of what it then refuses, or reads up to.
+            warnings.simplefilter("ignore")
+            with open_for_reading(path) as file:
+                loaded = trimesh.load(
+                    file,
+                    file_type=path.suffix.lower()[1:],
+                    resolver=_OwnFolder(path, limits),
+                    process=False,
+                    maintain_order=maintain_order,
+                )
+            if isinstance(loaded, trimesh.Scene):
+                _check_scene(loaded, path.name, limits)
+                loaded = _joined(loaded)
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:
+        raise InputError(
+            f"{path.name} could not be read as a mesh: {_reason(error)}. Is the file "
+            "complete?"
+        ) from error
+    if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
+        count = len(getattr(loaded, "vertices", ()))
+        raise InputError(
+            f"{path.name} has no triangles ({count} vertices only); photographs need "
+            "a surface. Triangulate the point cloud first."
+        )
+    check_counts(path.name, len(loaded.vertices), len(loaded.faces), limits)
+    return loaded
+
+
+def _joined(scene: trimesh.Scene) -> trimesh.Trimesh:
+    """All of a scene as one mesh, with the normals of the file, which trimesh drops."""
+    joined = scene.to_mesh()
+    places, normals = [], []
+    for node in scene.graph.nodes_geometry:
+        matrix, name = scene.graph[node]
+        part: Any = scene.geometry[name]
+        own = part._cache.cache.get("vertex_normals")
+        if own is None:
+            return joined
+        places.append(part.vertices @ matrix[:3, :3].T + matrix[:3, 3])
+        normals.append(_unit_rows(own @ np.linalg.pinv(matrix[:3, :3])))
+    if places:
+        together = np.concatenate(places)
+        if together.shape == joined.vertices.shape and np.allclose(
+            together, joined.vertices
+        ):
+            joined.vertex_normals = np.concatenate(normals)
+    return joined
+
+
+def _as_in_ply(
+    loaded: trimesh.Trimesh, vertices: np.ndarray, faces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces of the file: trimesh doubles vertices along texture seams."""
+    raw: Any = loaded.metadata.get("_ply_raw", {})
+    try:
+        table, lists = raw["vertex"]["data"], raw["face"]["data"]
+        corners = next(
+            lists[name]["f1"]
+            for name in ("vertex_indices", "vertex_index")
+            if name in lists.dtype.names
+        )
+        own = np.column_stack([np.ravel(table[axis]) for axis in "xyz"])
+        same = corners.shape == faces.shape and np.array_equal(
+            own[corners], vertices[faces]
+        )
+    except (KeyError, TypeError, IndexError, AttributeError, StopIteration, ValueError):
+        return vertices, faces
+    return (own, corners) if same else (vertices, faces)
+
+
+def _check_scene(scene: trimesh.Scene, name: str, limits: Limits) -> None:
+    """Raises InputError if a scene is too large once each part stands where it is used."""
+    parts = [
+        scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry
+    ]
+    check_counts(
+        name,
+        sum(len(getattr(part, "vertices", ())) for part in parts),
+        sum(len(getattr(part, "faces", ())) for part in parts),
+        limits,
+    )
+
+
+def _corner_uv(loaded: trimesh.Trimesh) -> np.ndarray | None:
+    uv = getattr(loaded.visual, "uv", None)
+    if uv is None or np.shape(uv) != (len(loaded.vertices), 2):
+        return None
+    return np.asarray(uv, dtype=np.float64)[loaded.faces]
+
+
+def _texture(loaded: trimesh.Trimesh, limits: Limits) -> np.ndarray | None:
+    """The picture of the material, whichever kind it is; None if it is of no use."""
+    material = getattr(loaded.visual, "material", None)
+    for name in ("image", "baseColorTexture"):
+        picture = getattr(material, name, None)
+        if picture is not None:
+            if picture.width * picture.height > limits.photo_pixels:
+                return None
+            try:
+                pixels = np.asarray(picture.convert("RGB"), dtype=np.uint8)
+            except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+                # Truncated or damaged: the mesh is of use without it.
+                return None
+            # trimesh puts a small grey square for a material that is not there.
+            return None if pixels.shape[:2] == (2, 2) else pixels
+    return None
+
+
+def _vertex_colours(loaded: trimesh.Trimesh) -> np.ndarray | None:
+    visual: Any = loaded.visual
+    if visual.kind != "vertex":
+        return None
+    colours = np.asarray(visual.vertex_colors, dtype=np.uint8)
+    return colours[:, :3].copy() if len(colours) == len(loaded.vertices) else None
+
+
+def _vertex_normals(loaded: trimesh.Trimesh, n: int) -> np.ndarray | None:
+    """The normals of the file; None where it has none, or some without a direction."""
+    normals = loaded._cache.cache.get("vertex_normals")
+    raw = loaded.metadata.get("_ply_raw", {}).get("vertex", {}).get("data")
+    names = getattr(getattr(raw, "dtype", None), "names", None) or ()
+    if normals is None and {"nx", "ny", "nz"} <= set(names):
+        normals = np.column_stack(
+            [np.ravel(raw[axis]) for axis in ("nx", "ny", "nz")]  # pyright: ignore[reportOptionalSubscript]
+        )
+    if normals is None or np.shape(normals) != (n, 3):
+        return None
+    unit = _unit_rows(np.asarray(normals, dtype=np.float64))
+    return unit if (np.abs(np.linalg.norm(unit, axis=1) - 1.0) < 1e-6).all() else None
+
+
+def _unit_rows(rows: np.ndarray) -> np.ndarray:
+>>>>>>> 59a6e63 (Words and files of others stay words and files: no script runs from a project, and nothing but a regular file is opened)
     lengths = np.linalg.norm(rows, axis=1, keepdims=True)
     return rows / np.where(lengths > 0.0, lengths, 1.0)

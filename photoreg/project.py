@@ -42,6 +42,7 @@ from photoreg.project_own import OwnFiles
 from photoreg.project_runs import ProjectRuns
 from photoreg.project_schema import now_utc, prepare, transaction, why
 from photoreg.project_values import FromFile, Values
+from photoreg.sources import read_regular
 
 MAX_CHECKED_BYTES = 64 << 20
 """Databases up to this size are checked for damage when opened (0.1 s)."""
@@ -495,7 +496,7 @@ class Project:
                     )
             for key in away:
                 path = self.files.find(key).path
-                kept = self.keep_file(path.name, path.read_bytes())
+                kept = self.keep_file(path.name, read_regular(path))
                 with self.writing():
                     self.files.use(key, kept)
 

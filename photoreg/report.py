@@ -282,7 +282,7 @@ def _html(
     parts = ["<h1>The paper's experiment, reproduced</h1>"]
     parts += [f"<p>{html.escape(text)}</p>" for text in _introduction(setup, runs)]
     images = "".join(
-        f'<img alt="{name}" src="data:image/jpeg;base64,'
+        f'<img alt="{html.escape(name)}" src="data:image/jpeg;base64,'
         f'{base64.b64encode(data).decode()}">'
         for name, data in pictures.items()
     )

@@ -1,6 +1,6 @@
 // What viser's page lacks, for all panels of the app: a way to tell the server what was
 // done in HTML, and files dropped anywhere. No request leaves the app's own server.
-// Panels mount themselves: an <img data-kind=...> that fails to load calls mount(this).
+// HTML of the panels has no script in it: what it is and does stands in data attributes.
 (() => {
   const photoreg = (window.photoreg ??= {});
   const kinds = (photoreg.kinds ??= {});
@@ -16,18 +16,52 @@
     });
   };
 
-  photoreg.mount = (element) => {
-    const kind = kinds[element.dataset.kind];
-    if (kind) kind(element);
-    else (photoreg.waiting ??= []).push(element);
-  };
-
+  // Calls `kind(element)` for every <span data-kind=name> that is there or appears.
   photoreg.define = (name, kind) => {
     kinds[name] = kind;
-    const waiting = photoreg.waiting ?? [];
-    photoreg.waiting = waiting.filter((e) => e.dataset.kind !== name);
-    waiting.filter((e) => e.dataset.kind === name && e.isConnected).forEach(kind);
+    document.querySelectorAll(`[data-kind="${name}"]`).forEach(kind);
   };
+  new MutationObserver((changes) => {
+    for (const change of changes)
+      for (const node of change.addedNodes) {
+        if (!node.isConnected || node.nodeType !== Node.ELEMENT_NODE) continue;
+        for (const element of [node, ...node.querySelectorAll("[data-kind]")])
+          kinds[element.dataset.kind]?.(element);
+      }
+  }).observe(document, { childList: true, subtree: true });
+
+  const input = () => document.getElementById(`file_upload_${photoreg.upload}`);
+  photoreg.define("boot", ({ dataset }) => {
+    photoreg.bus = dataset.bus;
+    photoreg.upload = dataset.upload;
+    photoreg.maxBytes = Number(dataset.bytes);
+    // The input must exist to take files, and need not be seen.
+    const hide = () => {
+      const box = input()?.parentElement;
+      if (!box) setTimeout(hide, 50);
+      else if (box.querySelectorAll("button").length === 1) box.style.display = "none";
+    };
+    hide();
+  });
+
+  // What a click does; of elements within each other only the innermost counts.
+  document.addEventListener("click", (event) => {
+    const element = event.target.closest("[data-send],[data-hold],[data-choose],[data-rename]");
+    if (!element) return;
+    const { send, hold, choose } = element.dataset;
+    if (send) photoreg.send(...JSON.parse(send));
+    // A click without a press is the keyboard's.
+    else if (hold) event.detail || photoreg.send(...JSON.parse(hold));
+    else if (choose !== undefined) photoreg.choose(choose);
+    else {
+      const card = element.closest("[data-photo]");
+      photoreg.rename(card.querySelector(".pr-name"), card.dataset.photo);
+    }
+  });
+  document.addEventListener("pointerdown", (event) => {
+    const button = event.target.closest("[data-hold]");
+    if (button) photoreg.hold(event, ...JSON.parse(button.dataset.hold));
+  });
 
   // Typing a new name in place of the old one; Enter takes it, Escape leaves it.
   photoreg.rename = (label, photo) => {
@@ -96,7 +130,6 @@
   // Files: each goes through viser's hidden upload input, one after the other.
   let sending = null; // the name of the file on its way
   const later = (ms) => new Promise((ok) => setTimeout(ok, ms));
-  const input = () => document.getElementById(`file_upload_${photoreg.upload}`);
 
   // Files that come while others are still on their way wait for these.
   let before = Promise.resolve();

@@ -9,7 +9,7 @@
     clearInterval(timer);
     timer = null;
   };
-  photoreg.hold = (event, act, value) => {
+  photoreg.hold = (event, act, { value }) => {
     if (event.button !== 0) return;
     release();
     const began = performance.now();
@@ -58,10 +58,10 @@
     viewer().sendCamera();
     viewer().requestRender();
   };
-  photoreg.inspect = (degrees) => {
-    fit = degrees;
-    if (viewer().cameraControl) setSpeeds();
-  };
+  photoreg.define("inspect", (element) => {
+    fit = JSON.parse(element.dataset.fit);
+    if (viewer()?.cameraControl) setSpeeds();
+  });
   window.addEventListener(
     "wheel",
     (event) => {

@@ -8,8 +8,10 @@ import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from photoreg.checks import check_input_file
 from photoreg.errors import InputError, OutputError
 from photoreg.limits import Limits
+from photoreg.sources import open_for_reading
 
 COMPRESSED = (".png", ".jpg", ".jpeg", ".glb")
 MAX_MEMBERS = 20_000
@@ -50,8 +52,9 @@ def unzipped(path: Path, folder: Path, wanted: Callable[[str], bool]) -> list[Pa
         OutputError: if the files cannot be written.
     """
     unpacked = []
+    check_input_file(path, "archive")
     try:
-        with zipfile.ZipFile(path) as archive:
+        with open_for_reading(path) as file, zipfile.ZipFile(file) as archive:
             members = [
                 member
                 for member in archive.infolist()

@@ -5,6 +5,7 @@ from pathlib import Path
 from photoreg.errors import InputError
 from photoreg.formats.cameras_json import FORMAT
 from photoreg.formats.parsing import read_json
+from photoreg.sources import open_for_reading
 
 CAMERA_SUFFIXES = (".json", ".mlp", ".yml", ".yaml", ".out", ".cam", ".txt", ".bin")
 """Suffixes of all files that a set of cameras may consist of."""
@@ -59,6 +60,6 @@ def _is_of_cameras(path: Path) -> bool:
             "frames" in document or document.get("format") == FORMAT
         )
     beginnings = {".mlp": b"<", ".out": b"# Bundle file"}
-    with path.open("rb") as file:
+    with open_for_reading(path) as file:
         start = file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n")
     return start.startswith(beginnings.get(path.suffix.lower(), b"%YAML"))

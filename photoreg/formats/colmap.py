@@ -14,7 +14,7 @@ import math
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -39,6 +39,7 @@ from photoreg.formats.parsing import (
     whole,
 )
 from photoreg.formats.writing import make_folder, write_files
+from photoreg.sources import open_for_reading
 
 PINHOLE_ID = 1
 MODELS = {
@@ -197,7 +198,7 @@ def load_colmap_binary(folder: Path) -> dict[str, Camera]:
     folder = model_folder(folder, ".bin") or folder
     lenses = {}
     path = check_input_file(folder / "cameras.bin", "file of cameras")
-    with path.open("rb") as file:
+    with open_for_reading(path) as file:
         reader = _Reader(file, path)
         for _ in range(reader.count(48)):
             number, model, width, height = reader.unpack("<IiQQ")
@@ -229,7 +230,7 @@ def _text_images(folder: Path) -> Iterator[_Image]:
 
 def _binary_images(folder: Path) -> Iterator[_Image]:
     path = check_input_file(folder / "images.bin", "file of images")
-    with path.open("rb") as file:
+    with open_for_reading(path) as file:
         reader = _Reader(file, path)
         for _ in range(reader.count(73)):
             number, *pose, lens = reader.unpack("<I7dI")
@@ -304,7 +305,7 @@ def _lines(
 class _Reader:
     """A binary file read piece by piece, never past its end."""
 
-    def __init__(self, file: BinaryIO, path: Path) -> None:
+    def __init__(self, file: IO[bytes], path: Path) -> None:
         self._file, self._name = file, path.name
         self._left = path.stat().st_size
 

@@ -11,6 +11,7 @@ from photoreg.checks import check_input_file
 from photoreg.errors import InputError
 from photoreg.formats.camera_set import MAX_SIDE_PX
 from photoreg.limits import Limits
+from photoreg.sources import read_regular
 
 
 def read_text(path: Path, what: str, max_mb: float | None = None) -> str:
@@ -21,7 +22,7 @@ def read_text(path: Path, what: str, max_mb: float | None = None) -> str:
     """
     check_input_file(path, what, max_mb or Limits.of_environment().camera_file_mb)
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return read_regular(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path.name} is not a text file ({what}).") from error
 
@@ -34,7 +35,7 @@ def read_json(path: Path, what: str) -> Any:
     """
     check_input_file(path, what, Limits.of_environment().camera_file_mb)
     try:
-        return json.loads(path.read_bytes())
+        return json.loads(read_regular(path))
     except json.JSONDecodeError as error:
         reason = str(error)
     except UnicodeDecodeError:

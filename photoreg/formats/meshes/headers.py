@@ -12,6 +12,7 @@ from typing import Any
 
 from photoreg.errors import InputError
 from photoreg.limits import Limits
+from photoreg.sources import open_for_reading
 
 HEADER_BYTES = 1 << 20
 """No header of a PLY file is longer."""
@@ -39,7 +40,7 @@ def check_counts(name: str, n_vertices: int, n_faces: int, limits: Limits) -> No
 
 def _obj(path: Path, limits: Limits) -> None:
     del limits  # It announces nothing; only its last line tells that more should come.
-    with path.open("rb") as file:
+    with open_for_reading(path) as file:
         file.seek(max(0, path.stat().st_size - 10_000))
         tail = file.read()
     words = tail.rpartition(b"\n")[2].split()
@@ -50,7 +51,7 @@ def _obj(path: Path, limits: Limits) -> None:
 
 
 def _ply(path: Path, limits: Limits) -> None:
-    with path.open("rb") as file:
+    with open_for_reading(path) as file:
         head = file.read(HEADER_BYTES)
         end = head.find(b"end_header")
         if not head.lower().startswith(b"ply") or end < 0:
@@ -107,7 +108,7 @@ def _least_bytes(words: list[str]) -> int:
 
 
 def _off(path: Path, limits: Limits) -> None:
-    with path.open("rb") as file:
+    with open_for_reading(path) as file:
         lines = (line.partition(b"#")[0].strip() for line in file)
         words: list[bytes] = []
         n_lines = 0
@@ -147,7 +148,7 @@ def _expect_lines(path: Path, announced: int, found: int) -> None:
 
 def _stl(path: Path, limits: Limits) -> None:
     size = path.stat().st_size
-    with path.open("rb") as file:
+    with open_for_reading(path) as file:
         head = file.read(84)
         announced = struct.unpack("<I", head[80:84])[0] if len(head) == 84 else 0
         is_text = head.lstrip().lower().startswith(b"solid")
@@ -173,7 +174,7 @@ def _stl(path: Path, limits: Limits) -> None:
 
 def _glb(path: Path, limits: Limits) -> None:
     size = path.stat().st_size
-    with path.open("rb") as file:
+    with open_for_reading(path) as file:
         head = file.read(20)
         if len(head) < 20 or head[:4] != b"glTF":
             raise InputError(
