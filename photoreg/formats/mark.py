@@ -6,6 +6,8 @@ import struct
 import zlib
 from pathlib import Path
 
+from photoreg.sources import open_for_reading
+
 GENERATOR = "photoreg"
 COMMENT = "made by photoreg"
 
@@ -51,7 +53,7 @@ def is_marked(path: Path) -> bool:
     Raises:
         OSError: if it cannot be read.
     """
-    with path.open("rb") as file:
+    with open_for_reading(path) as file:
         head = file.read(_HEAD_BYTES)
         if head.startswith(b"glTF"):
             file.seek(0)

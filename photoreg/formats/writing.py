@@ -17,6 +17,7 @@ from pathlib import Path
 from photoreg.checks import inputs_read
 from photoreg.errors import OutputError
 from photoreg.formats.mark import is_marked
+from photoreg.sources import open_for_reading, read_regular
 from photoreg.words import listed
 
 Content = bytes | str | Callable[[], bytes] | Path
@@ -51,7 +52,7 @@ def write_files(
             with partial.open("xb") as file:
                 partials[path] = partial
                 if isinstance(content, Path):
-                    with content.open("rb") as source:
+                    with open_for_reading(content) as source:
                         shutil.copyfileobj(source, file, 1 << 20)
                 else:
                     file.write(_bytes(content))
@@ -212,7 +213,7 @@ def _holds(path: Path, content: Content | None) -> bool:
     if isinstance(content, Path):
         return filecmp.cmp(path, content, shallow=False)
     expected = _bytes(content)
-    return path.stat().st_size == len(expected) and path.read_bytes() == expected
+    return path.stat().st_size == len(expected) and read_regular(path) == expected
 
 
 def _bytes(content: bytes | str | Callable[[], bytes]) -> bytes:
