@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
+from photoreg.sources import open_for_reading
+
 MAX_CHUNK_BYTES = 4096
 """Longer PNG chunks are passed over."""
 
@@ -18,7 +20,7 @@ MAX_BOX_BYTES = 16 << 20
 def png_chunks(path: Path) -> dict[bytes, bytes]:
     """The short chunks of a PNG that come before its pixels, by type."""
     chunks: dict[bytes, bytes] = {}
-    with path.open("rb") as file:
+    with open_for_reading(path) as file:
         file.seek(8)
         while len(head := file.read(8)) == 8 and head[4:] != b"IDAT":
             length = int.from_bytes(head[:4], "big")
@@ -32,7 +34,7 @@ def png_chunks(path: Path) -> dict[bytes, bytes]:
 
 def heif_colours(path: Path) -> list[tuple[int, int]]:
     """Primaries and transfer (ITU-T H.273) of each nclx colour box in HEIF or AVIF."""
-    with path.open("rb") as file:
+    with open_for_reading(path) as file:
         meta = next((body for kind, body in _boxes(file) if kind == b"meta"), b"")
     properties = _inside(_inside(meta[4:], b"iprp"), b"ipco")
     return [
@@ -80,7 +82,7 @@ def jxl_header(path: Path) -> tuple[int, int, int] | None:
     References:
         ISO/IEC 18181-1, SizeHeader and ImageMetadata.
     """
-    with path.open("rb") as file:
+    with open_for_reading(path) as file:
         start = file.read(256)
         if start.startswith(b"\0\0\0\x0cJXL "):
             file.seek(0)

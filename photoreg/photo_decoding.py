@@ -43,6 +43,7 @@ from photoreg.photo_formats import (
     formats_in_words,
     unread_kind,
 )
+from photoreg.sources import open_for_reading, read_regular
 
 STRIP_ROWS = 256
 """Rows that are converted at once: whole, each conversion is one more copy."""
@@ -168,7 +169,10 @@ def _opened(
             if kind is JXL:
                 _check_jxl(path, limits)
             _register(kind, path.name)
-            with Image.open(path, formats=kind.pillow_names) as image:
+            with (
+                open_for_reading(path) as opened,
+                Image.open(opened, formats=kind.pillow_names) as image,
+            ):
                 if kind is TIFF and DNG_VERSION in _tags(image):
                     yield RAW, None
                 else:
@@ -435,7 +439,7 @@ def _deep_values(
         is_deep = isinstance(bits, tuple) and bits[0] == 16
     if not is_deep or image.mode not in ("RGB", "RGBA"):
         return None
-    content = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+    content = np.frombuffer(read_regular(path), dtype=np.uint8)
     _, pages = cv2.imdecodemulti(content, cv2.IMREAD_UNCHANGED, range=(page, page + 1))
     values = pages[0]
     if values.dtype != np.uint16 or values.ndim != 3 or values.shape[2] < 3:
@@ -513,7 +517,7 @@ def _raw(path: Path) -> Iterator:
     rawpy = importlib.import_module("rawpy")
     try:
         # By its content: LibRaw opens names of UTF-8 only.
-        with rawpy.imread(io.BytesIO(path.read_bytes())) as raw:
+        with rawpy.imread(io.BytesIO(read_regular(path))) as raw:
             yield raw
     except (rawpy.LibRawError, rawpy.NotSupportedError) as error:
         reason = error.args[0] if error.args else ""
@@ -557,7 +561,7 @@ def _developed(path: Path, limits: Limits) -> DecodedPhoto:
 def _raw_facts(path: Path, raw: object, width: int, height: int) -> PhotoFacts:
     exif = Image.Exif()
     try:
-        with path.open("rb") as file:
+        with open_for_reading(path) as file:
             if file.read(4) in (b"II*\0", b"MM\0*"):
                 exif.load_from_fp(file, 0)
             else:

@@ -8,6 +8,8 @@ list all come from here.
 import dataclasses
 from pathlib import Path
 
+from photoreg.sources import open_for_reading
+
 HEAD_BYTES = 64
 
 
@@ -121,7 +123,7 @@ def format_of(path: Path) -> PhotoFormat | None:
 
 def head_of(path: Path) -> bytes:
     """The first bytes of a file."""
-    with path.open("rb") as file:
+    with open_for_reading(path) as file:
         return file.read(HEAD_BYTES)
 
 
