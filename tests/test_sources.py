@@ -14,7 +14,7 @@ from photoreg.errors import InputError
 from photoreg.formats.archives import unzipped
 from photoreg.formats.camera_search import find_cameras
 from photoreg.formats.cameras import read_cameras
-from photoreg.mesh import load_mesh
+from photoreg.formats.meshes.read import load_mesh
 from photoreg.photo import load_photo
 from photoreg.project import Project
 from photoreg.sources import open_for_reading, read_regular, source_file

@@ -26,6 +26,7 @@ from photoreg.formats.meshes.beside import find_beside
 from photoreg.formats.meshes.contents import MeshContents, Picture
 from photoreg.formats.meshes.headers import check_counts
 from photoreg.limits import Limits
+from photoreg.sources import read_regular
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _TYPES = {
@@ -87,11 +88,11 @@ class _Beside(FilePathResolver):
         found, note = find_beside(self._path, name, "file")
         if found is None:
             raise InputError(note)
-        return found.read_bytes()
+        return read_regular(found)
 
 
 def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
-    content = path.read_bytes()
+    content = read_regular(path)
     json_length = struct.unpack_from("<I", content, 12)[0]
     document = json.loads(content[20 : 20 + json_length])
     at = 20 + json_length

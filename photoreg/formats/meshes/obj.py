@@ -19,6 +19,7 @@ from photoreg.formats.meshes.contents import (
 )
 from photoreg.formats.meshes.polygons import triangle_corners
 from photoreg.limits import Limits
+from photoreg.sources import read_regular
 
 _CURVED = (b"curv", b"curv2", b"surf", b"cstype", b"deg", b"bmat", b"step", b"con")
 """Statements of surfaces that are not made of polygons."""
@@ -50,7 +51,7 @@ def read_obj(path: Path, limits: Limits) -> MeshContents:
             the surface is not made of polygons.
     """
     # Other readers join a line that ends with a backslash to the next.
-    text = path.read_bytes().removeprefix(b"\xef\xbb\xbf").replace(b"\\\r\n", b" ")
+    text = read_regular(path).removeprefix(b"\xef\xbb\xbf").replace(b"\\\r\n", b" ")
     text = text.replace(b"\\\n", b" ").replace(b"\0", b" ")
     text = _COMMENT.sub(rb"\1", text)
     lines = _lines(text)
@@ -184,7 +185,7 @@ def _material_text(path: Path, names: list[str]) -> tuple[str, list[str]]:
             continue
         else:
             files = [found]
-        texts += [file.read_bytes().decode("utf-8", "replace") for file in files]
+        texts += [read_regular(file).decode("utf-8", "replace") for file in files]
     return "\n".join(texts).replace("\ufeff", ""), notes
 
 

@@ -8,6 +8,7 @@ from photoreg.errors import InputError
 from photoreg.formats.meshes.contents import MeshContents, colours_of
 from photoreg.formats.meshes.polygons import triangle_corners
 from photoreg.limits import Limits
+from photoreg.sources import read_regular
 
 
 def read_off(path: Path, limits: Limits) -> MeshContents:
@@ -17,7 +18,7 @@ def read_off(path: Path, limits: Limits) -> MeshContents:
         InputError: if its words are not what should stand there.
     """
     del limits  # Checked by its header.
-    text = path.read_bytes().decode("utf-8-sig", "replace")
+    text = read_regular(path).decode("utf-8-sig", "replace")
     rows = [
         row.split()
         for line in text.splitlines()

@@ -18,6 +18,7 @@ from photoreg.formats.meshes.contents import (
 from photoreg.formats.meshes.headers import HEADER_BYTES
 from photoreg.formats.meshes.polygons import triangle_corners
 from photoreg.limits import Limits
+from photoreg.sources import open_for_reading
 
 _CORNERS = ("vertex_indices", "vertex_index")
 _WEDGE_UV, _WEDGE_PICTURE = "texcoord", "texnumber"
@@ -97,7 +98,7 @@ def _parsed(path: Path) -> plyfile.PlyData:
     """
     # Triangles of one length each are read at once; other polygons one by one.
     lengths = {"face": {**dict.fromkeys(_CORNERS, 3), _WEDGE_UV: 6}}
-    with path.open("rb") as file:
+    with open_for_reading(path) as file:
         if b"format ascii" not in file.read(HEADER_BYTES).partition(b"end_header")[0]:
             try:
                 file.seek(0)

@@ -10,12 +10,13 @@ import trimesh
 
 from photoreg.formats.meshes.contents import MeshContents
 from photoreg.limits import Limits
+from photoreg.sources import read_regular
 
 
 def read_stl(path: Path, limits: Limits) -> MeshContents:
     """Reads an STL file; the corners that lie at one place become one vertex."""
     del limits  # Checked by its header.
-    content = path.read_bytes()
+    content = read_regular(path)
     notes: tuple[str, ...] = ()
     announced = struct.unpack_from("<I", content.ljust(84, b"\0"), 80)[0]
     end = 84 + 50 * announced
