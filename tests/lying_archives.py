@@ -29,7 +29,7 @@ def zip_archive_cases() -> Iterator[Case]:
     yield Case("nothing wrong", name, packed(), both)
     yield Case("packed by LZMA", name, packed(method=zipfile.ZIP_LZMA), both)
     yield Case("bytes before and after it", name, b"ab" + packed() + b"cd", both)
-    yield Case("empty", name, b"", "damaged, or not a zip")
+    yield Case("empty", name, b"", "is empty (0 bytes)")
     yield Case("a zip of nothing", name, packed({}), "read: nothing")
     yield Case("noise", name, bytes(range(256)) * 9, "damaged, or not a zip")
     yield Case("cut at half", name, packed()[: len(packed()) // 2], "damaged")

@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from photoreg import cli
 from photoreg.formats.camera_set import CameraSet
@@ -111,14 +112,13 @@ def test_what_the_system_refuses_is_said_in_a_sentence(
     "name", [r"\N.py", r"\x.py", '"""; import os #.py', "a\nraise SystemExit\n.py"]
 )
 def test_a_blender_script_is_python_whatever_its_name_and_its_photos_are(
-    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, name: str
 ) -> None:
     folder = tmp_path / r"\N{oops} \U ''' \""
     folder.mkdir()
     photo = folder / "left.png"
-    photo.touch()
+    Image.new("RGB", (64, 48)).save(photo)
     camera = cameras_around(1, 64, 48)[0]
-    monkeypatch.setattr("photoreg.formats.cameras.is_turned", lambda _: False)
     given = CameraSet({photo.name: camera}, {photo.name: photo})
     write_cameras(tmp_path / name, given, "blender")
     text = (tmp_path / name).read_text(encoding="utf-8")

@@ -112,21 +112,21 @@ def toggle_dark(page: Page, send: Send) -> None:
         h for h in inputs(page).values() if getattr(h, "label", "") == "Dark page"
     )
     send(update(dark._impl.uuid, value=not before))
-    wait_until(lambda: page.session.state.dark != before, "it is done", 20)
+    wait_until(lambda: page.session.state.dark != before, "it is done")
 
 
 def assert_alive(page: Page) -> None:
     """A new browser gets the whole page, and what it presses is done."""
     expected = page.server.gui._gui_input_handle_from_uuid.keys()
     with browsing(page) as (send, widgets):
-        wait_until(lambda: expected <= widgets.keys(), "all of the page is here", 20)
+        wait_until(lambda: expected <= widgets.keys(), "all of the page is here")
         (dark,) = (
             k for k, w in widgets.items() if w["props"].get("label") == "Dark page"
         )
         for _ in range(2):
             before = page.session.state.dark
             send(update(dark, value=not before))
-            wait_until(lambda b=before: page.session.state.dark != b, "it is done", 20)
+            wait_until(lambda b=before: page.session.state.dark != b, "it is done")
         (photo,) = (
             h
             for h in inputs(page).values()
