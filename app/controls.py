@@ -1,5 +1,6 @@
 """Small adapters around viser's controls: guarded callbacks, quiet writes, questions."""
 
+import asyncio
 import functools
 import threading
 from collections.abc import Callable, Coroutine
@@ -127,7 +128,7 @@ class Typed:
         self.handle = handle
         self._take = take
         self._shown: tuple[float, ...] = ()
-        self._refused: threading.Timer | None = None
+        self._refused: asyncio.TimerHandle | None = None
         handle.on_update(guarded(self._on_update))
 
     def show(self, value: tuple[float, ...]) -> None:
@@ -152,11 +153,10 @@ class Typed:
         try:
             self._take(new)
         except PhotoregError as error:
-            self._refused = threading.Timer(
-                TYPING_REST_S, self._refuse, (event.client, str(error))
+            # On the loop, like this callback: nothing comes after the page has closed.
+            self._refused = asyncio.get_running_loop().call_later(
+                TYPING_REST_S, self._refuse, event.client, str(error)
             )
-            self._refused.daemon = True
-            self._refused.start()
 
     def _refuse(self, client: viser.ClientHandle, sentence: str) -> None:
         self._refused = None
