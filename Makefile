@@ -29,17 +29,17 @@ test-interop: .venv/.stamp-interop ## Let COLMAP, MeshLab, Open3D, Blender and t
 	PHOTOREG_BLENDER=.venv/blender/bin/python .venv/interop/bin/pytest -m slow -p no:dash tests/interop
 
 crash: .venv/.stamp-dev ## Kill server and worker 200 times at random moments and look for what is lost (15 minutes); ARGS="--kills 20"
-	$(BIN)/python -m tests.crash $(ARGS)
+	$(BIN)/python -m tests.robustness.crash $(ARGS)
 
 load: .venv/.stamp-dev ## Ten browsers at once watch runs for ten minutes, drawing nothing, then two in Chromium; ARGS="--minutes 1 --pages 0"
 	@$(BIN)/python tests/browser/ensure_chromium.py
 	$(BIN)/python -m tests.bench.load $(ARGS)
 
 fuzz: .venv/.stamp-dev ## Feed damaged files to every reader, a minute each; ARGS="300 ply" picks
-	$(BIN)/python -m tests.fuzz $(ARGS)
+	$(BIN)/python -m tests.robustness.fuzz $(ARGS)
 
 lying-input: .venv/.stamp-dev ## Write the table of lying inputs and what each gets, to build/lying-input
-	$(BIN)/pytest -q -m "slow or not slow" tests/test_lying_input.py
+	$(BIN)/pytest -q -m "slow or not slow" tests/robustness/test_lying_input.py
 
 check: .venv/.stamp-dev ## Lint, formatting, types, import layers
 	$(BIN)/ruff check .
@@ -56,7 +56,7 @@ bench: .venv/.stamp-dev ## Measure speed and accuracy (15 minutes); DATA=folder 
 
 screenshots: .venv/.stamp-dev ## Take the README's pictures from the running app
 	@$(BIN)/python tests/browser/ensure_chromium.py
-	$(BIN)/python -m tests.screenshots
+	$(BIN)/python -m tests.browser.screenshots
 
 clean: ## Remove the environment and what tools left behind
 	rm -rf .venv build dist .pytest_cache .ruff_cache .hypothesis

@@ -11,38 +11,38 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from photoreg.camera import Camera as Camera
     from photoreg.errors import PhotoregError as PhotoregError
-    from photoreg.evaluate import projection_error as projection_error
-    from photoreg.formats.cameras_json import CameraFile as CameraFile
-    from photoreg.formats.cameras_json import load_cameras as load_cameras
-    from photoreg.formats.cameras_json import save_cameras as save_cameras
-    from photoreg.formats.meshes import load_mesh as load_mesh
-    from photoreg.mesh import Mesh as Mesh
-    from photoreg.photo import Photo as Photo
-    from photoreg.photo import load_photo as load_photo
-    from photoreg.registration import Finished as Finished
-    from photoreg.registration import Progress as Progress
-    from photoreg.registration import RegistrationConfig as RegistrationConfig
-    from photoreg.registration import refine as refine
+    from photoreg.formats.cameras.cameras_json import CameraFile as CameraFile
+    from photoreg.formats.cameras.cameras_json import load_cameras as load_cameras
+    from photoreg.formats.cameras.cameras_json import save_cameras as save_cameras
+    from photoreg.formats.meshes.read import load_mesh as load_mesh
+    from photoreg.geometry.camera import Camera as Camera
+    from photoreg.geometry.mesh import Mesh as Mesh
+    from photoreg.geometry.projection_error import projection_error as projection_error
+    from photoreg.imaging.photo import Photo as Photo
+    from photoreg.imaging.photo import load_photo as load_photo
+    from photoreg.registration.config import RegistrationConfig as RegistrationConfig
+    from photoreg.registration.events import Finished as Finished
+    from photoreg.registration.events import Progress as Progress
+    from photoreg.registration.refinement import refine as refine
 
 __version__ = "0.1.0"
 
 _MODULES = {
-    "Camera": "photoreg.camera",
+    "Camera": "photoreg.geometry.camera",
     "PhotoregError": "photoreg.errors",
-    "projection_error": "photoreg.evaluate",
-    "CameraFile": "photoreg.formats.cameras_json",
-    "load_cameras": "photoreg.formats.cameras_json",
-    "save_cameras": "photoreg.formats.cameras_json",
-    "Mesh": "photoreg.mesh",
-    "load_mesh": "photoreg.formats.meshes",
-    "Photo": "photoreg.photo",
-    "load_photo": "photoreg.photo",
-    "Finished": "photoreg.registration",
-    "Progress": "photoreg.registration",
-    "RegistrationConfig": "photoreg.registration",
-    "refine": "photoreg.registration",
+    "projection_error": "photoreg.geometry.projection_error",
+    "CameraFile": "photoreg.formats.cameras.cameras_json",
+    "load_cameras": "photoreg.formats.cameras.cameras_json",
+    "save_cameras": "photoreg.formats.cameras.cameras_json",
+    "Mesh": "photoreg.geometry.mesh",
+    "load_mesh": "photoreg.formats.meshes.read",
+    "Photo": "photoreg.imaging.photo",
+    "load_photo": "photoreg.imaging.photo",
+    "Finished": "photoreg.registration.events",
+    "Progress": "photoreg.registration.events",
+    "RegistrationConfig": "photoreg.registration.config",
+    "refine": "photoreg.registration.refinement",
 }
 """Where each name is: imported when asked for, so that a command is heard from at once."""
 

@@ -38,7 +38,7 @@ with _ctrl_c_ends_at_once():
     # They take a second or two.
     import tyro
 
-    from photoreg import cli
+    from photoreg.cli import commands
 
 
 def app_command(
@@ -75,7 +75,7 @@ def app_command(
         browser: Open the page in the default browser, where there is one.
     """
     # Not at the top: the command line must not wait for the app's imports.
-    from app.main import run_app  # noqa: PLC0415
+    from app.page.main import run_app  # noqa: PLC0415
 
     return run_app(
         files,
@@ -91,7 +91,7 @@ def app_command(
 
 def main() -> int:
     """Runs the command that the terminal names; returns the exit status."""
-    status = cli.run(sys.argv[1:] or ["app"], {"app": app_command})
+    status = commands.run(sys.argv[1:] or ["app"], {"app": app_command})
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         # What is left is the interpreter's own end.
         signal.signal(signal.SIGINT, lambda *_: os._exit(status))

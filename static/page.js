@@ -6,7 +6,7 @@
   const kinds = (photoreg.kinds ??= {});
   let count = 0;
 
-  // Tells the server; `act` says which handler of app/bus.py gets it.
+  // Tells the server; `act` says which handler of app/web/bridge.py gets it.
   photoreg.send = (act, values = {}) => {
     const message = JSON.stringify({ act, ...values, count: ++count, at: Date.now() });
     window.__viserMutable.sendMessage({

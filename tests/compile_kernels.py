@@ -8,11 +8,14 @@ import dataclasses
 import multiprocessing
 from collections.abc import Callable
 
-from app.warm_up import toy_scene, warm_up_steps
-from photoreg.alignment import polish_cameras
-from photoreg.registration import RegistrationConfig, refine
-from photoreg.synthetic import SceneOptions, make_scene
-from photoreg.texture import TextureConfig, bake_texture
+from app.engine.warm_up import toy_scene, warm_up_steps
+from photoreg.polish.polish_cameras import polish_cameras
+from photoreg.registration.config import RegistrationConfig
+from photoreg.registration.refinement import refine
+from photoreg.synthetic.options import SceneOptions
+from photoreg.synthetic.scene import make_scene
+from photoreg.texture.bake import bake_texture
+from photoreg.texture.blend import TextureConfig
 
 
 def _polish() -> None:

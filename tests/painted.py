@@ -3,10 +3,10 @@
 import numpy as np
 import trimesh
 
-from photoreg.camera import Camera
-from photoreg.mesh import Mesh
-from photoreg.photo import Photo
-from photoreg.raster import render_geometry
+from photoreg.geometry.camera import Camera
+from photoreg.geometry.mesh import Mesh
+from photoreg.geometry.rasteriser import render_geometry
+from photoreg.imaging.photo import Photo
 
 BACKDROP = np.array([255, 0, 255], dtype=np.uint8)
 """Far from every colour of the surface: one bleeding pixel shows."""

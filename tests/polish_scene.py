@@ -6,9 +6,9 @@ import functools
 import numpy as np
 import trimesh
 
-from photoreg.camera import Camera
-from photoreg.mesh import Mesh
-from photoreg.photo import Photo
+from photoreg.geometry.camera import Camera
+from photoreg.geometry.mesh import Mesh
+from photoreg.imaging.photo import Photo
 
 
 @dataclasses.dataclass(frozen=True)

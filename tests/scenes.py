@@ -6,8 +6,8 @@ different distances and have different focal lengths; the object is not centred.
 
 import functools
 
-from photoreg.scene_options import SceneOptions
-from photoreg.synthetic import Scene, make_scene
+from photoreg.synthetic.options import SceneOptions
+from photoreg.synthetic.scene import Scene, make_scene
 
 WIDTH, HEIGHT = 320, 240
 

@@ -1,1 +1,1 @@
-"""Camera and mesh files of photoreg and of other programs, one module a format."""
+"""Files of photoreg and of other programs, read and written, one module a format."""

@@ -6,10 +6,10 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from photoreg.camera import Camera
 from photoreg.checks import check_input_file
 from photoreg.errors import InputError
-from photoreg.formats.camera_set import MAX_SIDE_PX
+from photoreg.formats.cameras.camera_set import MAX_SIDE_PX
+from photoreg.geometry.camera import Camera
 from photoreg.limits import Limits
 from photoreg.sources import read_regular
 

@@ -4,14 +4,14 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from photoreg.alignment import polish_cameras
-from photoreg.camera import Camera
-from photoreg.evaluate import projection_error
-from photoreg.formats.cameras_json import load_cameras
-from photoreg.formats.meshes import MESH_SUFFIXES, load_mesh
-from photoreg.mesh import Mesh
-from photoreg.photo import Photo, load_photo
-from photoreg.registration import RegistrationConfig
+from photoreg.formats.cameras.cameras_json import load_cameras
+from photoreg.formats.meshes.read import MESH_SUFFIXES, load_mesh
+from photoreg.geometry.camera import Camera
+from photoreg.geometry.mesh import Mesh
+from photoreg.geometry.projection_error import projection_error
+from photoreg.imaging.photo import Photo, load_photo
+from photoreg.polish.polish_cameras import polish_cameras
+from photoreg.registration.config import RegistrationConfig
 from tests.bench.metrics import Metric, Setting, bench, spread
 from tests.bench.outcomes import error_figures, figures, run
 from tests.bench.worlds import worlds

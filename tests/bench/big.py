@@ -10,13 +10,13 @@ import cv2
 import numpy as np
 from playwright.sync_api import sync_playwright
 
-from app.conductor import Conductor
-from app.server import Page
-from app.session import with_cameras
-from photoreg.formats.ply import save_mesh
-from photoreg.mesh import Mesh
-from photoreg.scene_options import SceneOptions
-from photoreg.synthetic import Scene, make_scene
+from app.control.controller import Conductor
+from app.model.session import with_cameras
+from app.page.server import Page
+from photoreg.formats.models.ply import save_mesh
+from photoreg.geometry.mesh import Mesh
+from photoreg.synthetic.options import SceneOptions
+from photoreg.synthetic.scene import Scene, make_scene
 from tests.bench.metrics import Metric, Setting, bench
 from tests.bench.page import readouts
 from tests.bench.served import served

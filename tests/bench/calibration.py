@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from photoreg.alignment import polish_cameras
-from photoreg.evaluate import projection_error
-from photoreg.uncertainty import estimate_uncertainty
+from photoreg.geometry.projection_error import projection_error
+from photoreg.polish.polish_cameras import polish_cameras
+from photoreg.polish.uncertainty import estimate_uncertainty
 from tests.bench.metrics import Metric, Setting, bench
 from tests.bench.worlds import World, worlds
 

@@ -1,4 +1,4 @@
-// The arithmetic of photoreg.kernels.population_costs for two photos, as a plain C++
+// The arithmetic of photoreg.search.kernels.population_costs for two photos, as a plain C++
 // loop: the yardstick of the compiled Python. Same order of work, same buffers, same
 // trimming by buckets; nothing tuned by hand. It samples the photos' validity too, which
 // the other does only where there is a mask: in one vector with the colours it is free,

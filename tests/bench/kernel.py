@@ -14,11 +14,11 @@ from unittest import mock
 import numba as nb
 import numpy as np
 
-from photoreg import consistency
-from photoreg.consistency import ConsistencyConfig, PhotoConsistency
-from photoreg.genes import GeneMap
-from photoreg.kernels import population_costs
-from photoreg.sampling import sample_surface
+from photoreg.geometry.sampling import sample_surface
+from photoreg.parameters.genes import GeneMap
+from photoreg.search import photo_consistency
+from photoreg.search.kernels import population_costs
+from photoreg.search.photo_consistency import ConsistencyConfig, PhotoConsistency
 from tests.bench.metrics import Metric, Setting, bench
 from tests.bench.worlds import world
 
@@ -132,7 +132,7 @@ def _arguments(with_exposure: bool) -> dict[str, Any]:
         caught.update(signature.bind(*args).arguments)
         return population_costs(*args)
 
-    with mock.patch.object(consistency, "population_costs", catch):
+    with mock.patch.object(photo_consistency, "population_costs", catch):
         cost.costs(genes, gene_map)
     # Only with exposure is the spread of the colours known.
     caught["reference_spread"] = 500.0 if with_exposure else 0.0

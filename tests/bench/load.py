@@ -31,14 +31,14 @@ import numpy as np
 import websockets
 from playwright.sync_api import Browser, sync_playwright
 
-from app.autosave import DOCUMENT_TYPES
-from app.shelf import LOG_FILE
-from photoreg.project import Project
+from app.control.autosave import DOCUMENT_TYPES
+from app.control.user_data import LOG_FILE
+from photoreg.project.project import Project
 from tests.bench.metrics import Metric
 from tests.bench.processor import busy_s, processor_s
 from tests.bench.wire import PROTOCOL, unpacked, view_from
 from tests.browser.driver import Driver, launch, wait_until
-from tests.server_program import server
+from tests.browser.server_program import server
 
 MOVES_PER_S = 10.0
 ASK_EVERY_S = 2.0

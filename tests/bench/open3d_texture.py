@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 
-from tests.memory import peak_memory_gb
+from tests.robustness.memory import peak_memory_gb
 
 o3d = importlib.import_module("open3d")
 scene = np.load(sys.argv[1])

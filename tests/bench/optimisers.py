@@ -18,11 +18,12 @@ from unittest import mock
 import numpy as np
 from scipy.optimize import differential_evolution
 
-from photoreg import search
-from photoreg.evaluate import projection_error
-from photoreg.genes import GeneMap
-from photoreg.genetic import GeneticConfig, evolve
-from photoreg.registration import RegistrationConfig, refine
+from photoreg.geometry.projection_error import projection_error
+from photoreg.parameters.genes import GeneMap
+from photoreg.registration import genetic_search
+from photoreg.registration.config import RegistrationConfig
+from photoreg.registration.refinement import refine
+from photoreg.search.genetic import GeneticConfig, evolve
 from tests.bench.metrics import Metric, Setting, bench
 from tests.bench.worlds import World, worlds
 
@@ -259,7 +260,7 @@ def _search_costs(
         raise _CaughtError
 
     with (
-        mock.patch.object(search, "evolve", catch),
+        mock.patch.object(genetic_search, "evolve", catch),
         contextlib.suppress(_CaughtError),
     ):
         for _ in refine(world.mesh, world.photos, world.rough_cameras, config):

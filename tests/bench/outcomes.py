@@ -6,11 +6,13 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from photoreg.camera import Camera
-from photoreg.evaluate import projection_error
-from photoreg.mesh import Mesh
-from photoreg.photo import Photo
-from photoreg.registration import Finished, PresetName, RegistrationConfig, refine
+from photoreg.geometry.camera import Camera
+from photoreg.geometry.mesh import Mesh
+from photoreg.geometry.projection_error import projection_error
+from photoreg.imaging.photo import Photo
+from photoreg.registration.config import PresetName, RegistrationConfig
+from photoreg.registration.events import Finished
+from photoreg.registration.refinement import refine
 from tests.bench.metrics import Metric, spread
 from tests.bench.worlds import World
 

@@ -7,10 +7,10 @@ from typing import Any
 
 from playwright.sync_api import Browser, sync_playwright
 
-from app.keys import BY_NAME, Stepper
-from app.opening import demo_folder, open_folder
-from app.session import Session
-from app.state import State
+from app.model.scene_files import demo_folder, open_folder
+from app.model.session import Session
+from app.model.state import State
+from app.panels.nudges import BY_NAME, Stepper
 from tests.bench.metrics import Metric, Setting, bench, spread
 from tests.bench.served import served
 from tests.bench.wire import listening

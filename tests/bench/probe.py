@@ -13,13 +13,13 @@ import numba as nb
 import numpy as np
 import trimesh
 
-from photoreg.camera import Camera
-from photoreg.mesh import Mesh
-from photoreg.photo import Photo
-from photoreg.registration import RegistrationConfig
+from photoreg.geometry.camera import Camera
+from photoreg.geometry.mesh import Mesh
+from photoreg.imaging.photo import Photo
+from photoreg.registration.config import RegistrationConfig
 from tests.bench.outcomes import Outcome, run
 from tests.bench.worlds import World, world
-from tests.memory import peak_memory_gb
+from tests.robustness.memory import peak_memory_gb
 
 SCALED_FROM = 1500
 """Large photos are drawn at this width and enlarged: the renderer is not what is

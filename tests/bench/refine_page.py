@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 from playwright.sync_api import sync_playwright
 
-from app.conductor import Conductor
-from app.drawing import Drawing, Painter
-from app.messages import Live, OverlayView, Refine
-from app.opening import demo_folder, open_folder
-from app.refining import Refining
-from app.run import PRESET_NAMES
-from app.session import Session, setting
-from photoreg.presets import PresetName, RegistrationConfig
+from app.control.controller import Conductor
+from app.engine.overlay_job import Drawing, Painter
+from app.engine.refine_job import Refining
+from app.model.messages import Live, OverlayView, Refine
+from app.model.run import PRESET_NAMES
+from app.model.scene_files import demo_folder, open_folder
+from app.model.session import Session, setting
+from photoreg.registration.config import PresetName, RegistrationConfig
 from tests.bench.metrics import Metric, Setting, bench
 from tests.bench.processor import processor_s
 from tests.bench.served import served

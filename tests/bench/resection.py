@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from photoreg.camera import Camera
-from photoreg.evaluate import projection_error, seen_points
-from photoreg.formats.cameras_json import load_cameras
-from photoreg.formats.meshes import MESH_SUFFIXES, load_mesh
-from photoreg.mesh import Mesh
-from photoreg.resection import (
+from photoreg.formats.cameras.cameras_json import load_cameras
+from photoreg.formats.meshes.read import MESH_SUFFIXES, load_mesh
+from photoreg.geometry.camera import Camera
+from photoreg.geometry.mesh import Mesh
+from photoreg.geometry.projection_error import projection_error, seen_points
+from photoreg.geometry.sampling import SurfaceSamples, sample_surface
+from photoreg.resection.solver import (
     CLICK_SIGMA_PX,
     FOCAL_SIGMA,
     GUESSED_FOCAL_SIDES,
@@ -20,9 +21,8 @@ from photoreg.resection import (
     PRINCIPAL_SIGMA_SIDES,
     solve_camera,
 )
-from photoreg.sampling import SurfaceSamples, sample_surface
 from tests.bench.metrics import Metric, Setting, bench, spread
-from tests.naive_resection import refined_from_truth
+from tests.resection.naive_resection import refined_from_truth
 
 EXIF_ERROR = 0.03
 """Relative error of a focal length as EXIF gives it."""

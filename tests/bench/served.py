@@ -3,10 +3,10 @@
 import contextlib
 from collections.abc import Iterator
 
-from app.conductor import Conductor
-from app.server import Page
-from app.session import Session
-from app.state import Document, State
+from app.control.controller import Conductor
+from app.model.session import Session
+from app.model.state import Document, State
+from app.page.server import Page
 from tests.browser.driver import wait_until
 
 

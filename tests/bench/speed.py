@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from photoreg.registration import RegistrationConfig
+from photoreg.registration.config import RegistrationConfig
 from tests.bench.metrics import Metric, Setting, bench, spread
 from tests.bench.outcomes import error_figures, run_world, time_figures
 from tests.bench.worlds import world, worlds

@@ -16,14 +16,15 @@ from typing import Any
 
 import numpy as np
 
-from photoreg.atlas import Atlas, make_atlas
-from photoreg.camera import Camera
-from photoreg.mesh import Mesh
-from photoreg.photo import Photo
-from photoreg.rock import rock_mesh
-from photoreg.texture import TextureConfig, bake_texture, baking
+from photoreg.geometry.camera import Camera
+from photoreg.geometry.mesh import Mesh
+from photoreg.imaging.photo import Photo
+from photoreg.synthetic.rock import rock_mesh
+from photoreg.texture.atlas import Atlas, make_atlas
+from photoreg.texture.bake import bake_texture, baking
+from photoreg.texture.blend import TextureConfig
 from tests.bench.metrics import Metric, Setting, bench
-from tests.memory import peak_memory_gb
+from tests.robustness.memory import peak_memory_gb
 
 ROOT = Path(__file__).parents[2]
 INTEROP = ROOT / ".venv" / "interop" / "bin" / "python"

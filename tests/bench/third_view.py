@@ -8,17 +8,17 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from photoreg.camera import Camera
-from photoreg.formats.cameras_json import load_cameras
-from photoreg.formats.meshes import load_mesh
-from photoreg.mesh import Mesh
-from photoreg.photo import load_photo
-from photoreg.registration import refine
-from photoreg.scene_options import SceneOptions
-from photoreg.synthetic import make_scene
-from photoreg.texture import bake_texture
+from photoreg.formats.cameras.cameras_json import load_cameras
+from photoreg.formats.meshes.read import load_mesh
+from photoreg.geometry.camera import Camera
+from photoreg.geometry.mesh import Mesh
+from photoreg.imaging.photo import load_photo
+from photoreg.registration.refinement import refine
+from photoreg.synthetic.options import SceneOptions
+from photoreg.synthetic.scene import make_scene
+from photoreg.texture.bake import bake_texture
 from tests.bench.metrics import Metric, Setting, bench
-from tests.third_view import Likeness, likeness, third_camera
+from tests.texture.third_view import Likeness, likeness, third_camera
 
 VIEWS = {
     "granite": ("IMG_3028.jpg", "IMG_3030.jpg", "IMG_3029.jpg"),

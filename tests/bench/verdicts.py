@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from photoreg.rough import rough_start
+from photoreg.synthetic.rough_cameras import rough_start
 from tests.bench.accuracy import load_set
 from tests.bench.metrics import Metric, Setting, bench
 from tests.bench.outcomes import Outcome, run, run_world

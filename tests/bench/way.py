@@ -5,8 +5,8 @@ from collections.abc import Iterator
 
 from playwright.sync_api import sync_playwright
 
-from photoreg.scene_options import SceneOptions
-from photoreg.synthetic import make_scene
+from photoreg.synthetic.options import SceneOptions
+from photoreg.synthetic.scene import make_scene
 from tests.bench.metrics import Metric, Setting, bench
 from tests.bench.served import served
 from tests.browser.app import App

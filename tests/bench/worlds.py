@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import photoreg
-from photoreg.camera import Camera
-from photoreg.experiment import manual_start
-from photoreg.mesh import Mesh
-from photoreg.photo import Photo
-from photoreg.rough import rough_start
-from photoreg.scene_options import SceneOptions
-from photoreg.synthetic import make_scene
+from photoreg.geometry.camera import Camera
+from photoreg.geometry.mesh import Mesh
+from photoreg.imaging.photo import Photo
+from photoreg.paper.experiment import manual_start
+from photoreg.synthetic.options import SceneOptions
+from photoreg.synthetic.rough_cameras import rough_start
+from photoreg.synthetic.scene import make_scene
 
 STORE = Path(tempfile.gettempdir()) / "photoreg-bench-scenes"
 """Scenes made before, each under a digest of its options and of the source files that
@@ -92,13 +92,13 @@ def _digest(options: SceneOptions) -> str:
 @functools.cache
 def _sources() -> bytes:
     """All source text that drawing a scene rests on: what synthetic imports, in turn."""
-    folder = Path(photoreg.__file__).parent
+    root = Path(photoreg.__file__).parents[1]
     texts: dict[str, str] = {}
-    left = ["synthetic"]
+    left = ["photoreg.synthetic.scene"]
     while left:
         name = left.pop()
-        path = folder / f"{name}.py"
+        path = root / f"{name.replace('.', '/')}.py"
         if name not in texts and path.exists():
             texts[name] = path.read_text(encoding="utf-8")
-            left += re.findall(r"^from photoreg\.(\w+) import", texts[name], re.M)
+            left += re.findall(r"^from (photoreg[\w.]*) import", texts[name], re.M)
     return "".join(texts[name] for name in sorted(texts)).encode()

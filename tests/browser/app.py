@@ -2,10 +2,10 @@
 
 import dataclasses
 
-from app.conductor import Conductor
-from app.server import Page
-from app.session import Session
-from app.state import State
+from app.control.controller import Conductor
+from app.model.session import Session
+from app.model.state import State
+from app.page.server import Page
 from tests.browser.driver import Driver
 
 

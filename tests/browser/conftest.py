@@ -5,11 +5,11 @@ from collections.abc import Callable, Iterator
 import pytest
 from playwright.sync_api import Browser, sync_playwright
 
-from app.conductor import Conductor
-from app.server import Page
-from app.session import Session
-from app.state import Document, PhotoEntry, State
-from app.warm_up import toy_scene
+from app.control.controller import Conductor
+from app.engine.warm_up import toy_scene
+from app.model.session import Session
+from app.model.state import Document, PhotoEntry, State
+from app.page.server import Page
 from tests.browser.app import App
 from tests.browser.driver import Driver, launch
 

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from scipy.ndimage import binary_erosion
 
-from app.state import same_camera
-from photoreg.camera import Camera
-from photoreg.synthetic import Scene
+from app.model.state import same_camera
+from photoreg.geometry.camera import Camera
+from photoreg.synthetic.scene import Scene
 from tests.browser.app import App
 from tests.browser.driver import Driver, wait_until
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from app.numbers import film_mm
-from app.session import select, setting, with_document
-from app.state import same_camera
-from app.styles import THROUGH_STYLES
+from app.model.camera_numbers import film_mm
+from app.model.session import select, setting, with_document
+from app.model.state import same_camera
+from app.web.styles import THROUGH_STYLES
 from tests.browser.driver import Driver, wait_until
 
 

@@ -7,14 +7,14 @@ import msgspec.msgpack
 import pytest
 from websockets.sync.client import connect
 
-from app.conductor import Conductor
-from app.doors import Doors, cookie_name
-from app.server import Page
-from app.session import Session
-from app.state import Document, State
+from app.control.controller import Conductor
+from app.model.session import Session
+from app.model.state import Document, State
+from app.page.server import Page
+from app.web.access import Doors, cookie_name
 from photoreg.limits import Limits
 from tests.browser.driver import Driver, wait_until
-from tests.lying_photos import png
+from tests.robustness.lying_photos import png
 
 TOKEN = "a-token-of-the-tests-0123456789"
 
@@ -157,7 +157,7 @@ def test_a_foreign_origin_is_refused_even_with_the_token(guarded):
         "/etc/passwd",
         "/photoreg/../../../../etc/passwd",
         "/photoreg/..%2f..%2fpyproject.toml",
-        "/photoreg/../app/main.py",
+        "/photoreg/../app/page/main.py",
         "/photoreg/demo/cameras.json",
         "/photoreg/photo/1/../../x.jpg",
         "/photoreg/page.js%00.png",

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 import trimesh
 
-from photoreg.formats.camera_set import largest_shift_px
-from photoreg.formats.cameras import read_cameras
+from photoreg.formats.cameras.camera_set import largest_shift_px
+from photoreg.formats.cameras.registry import read_cameras
 from tests.browser.app import App
 from tests.browser.driver import wait_until
 

@@ -9,13 +9,13 @@ import zipfile
 import cv2
 import pytest
 
-from app.opening import open_files
-from app.session import with_document
-from app.state import Document, same_camera
+from app.model.scene_files import open_files
+from app.model.session import with_document
+from app.model.state import Document, same_camera
 from photoreg.formats.archives import unzipped
-from photoreg.formats.camera_download import cameras_download
-from photoreg.formats.cameras_json import CameraFile, dump_cameras
-from photoreg.project import DATABASE
+from photoreg.formats.cameras.cameras_json import CameraFile, dump_cameras
+from photoreg.formats.cameras.download import cameras_download
+from photoreg.project.folder import DATABASE
 from tests.browser.driver import wait_until
 from tests.browser.own_files import drop
 

@@ -2,12 +2,12 @@
 
 import pytest
 
-from app.conductor import Conductor
-from app.server import Page
-from app.session import Session
-from app.state import State
+from app.control.controller import Conductor
+from app.model.session import Session
+from app.model.state import State
+from app.page.server import Page
+from tests.app.model.hostile_words import hostile_states
 from tests.browser.driver import Driver, wait_until
-from tests.hostile_words import hostile_states
 
 
 @pytest.fixture(scope="module")

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.placement import rolled
-from app.session import setting
-from app.state import Document, PhotoEntry
-from photoreg.camera import Camera
-from photoreg.mesh import Mesh
-from photoreg.photo import Photo
-from photoreg.raster import render_geometry
-from photoreg.rock import rock_mesh
+from app.model.camera_moves import rolled
+from app.model.session import setting
+from app.model.state import Document, PhotoEntry
+from photoreg.geometry.camera import Camera
+from photoreg.geometry.mesh import Mesh
+from photoreg.geometry.rasteriser import render_geometry
+from photoreg.imaging.photo import Photo
+from photoreg.synthetic.rock import rock_mesh
 from tests.browser.driver import Driver, wait_until
 
 WIDTH, HEIGHT, FINER = 960, 720, 3

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import viser
 
-from app.compare_view import swipe_html
-from app.server import Page
-from app.session import with_document, with_entry
-from app.state import PointPair, same_camera
-from app.widgets import HELP
+from app.control.comparison_html import swipe_html
+from app.model.session import with_document, with_entry
+from app.model.state import PointPair, same_camera
+from app.page.server import Page
+from app.web.widgets import HELP
 from tests.browser.driver import wait_until
 
 SCRIPTS = Path(__file__).parents[2] / "static"

@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from app.session import select, with_document
+from app.model.session import select, with_document
 from tests.browser.driver import wait_until
 
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from app.markers import WRONG
-from app.masks import decode_mask
-from app.session import select, setting, with_document
-from photoreg.evaluate import projection_error
+from app.model.masks import decode_mask
+from app.model.session import select, setting, with_document
+from app.scene.markers import WRONG
+from photoreg.geometry.projection_error import projection_error
 from tests.browser.driver import wait_until
 from tests.browser.own_files import (
     click_pairs,

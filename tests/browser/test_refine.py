@@ -18,19 +18,20 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from app.outcomes import has_moved
-from app.panel_advanced import all_settings
-from app.panel_overlay import LEVEL, RESTART
-from app.placement import orbited
-from app.run import PRESET_NAMES
-from app.session import looking_at, setting, with_entry
-from app.shelf import log_into
-from app.state import Document, PhotoEntry
-from app.words import in_words, number
-from photoreg.box_reach import box_reach
-from photoreg.camera import Camera
-from photoreg.presets import PresetName, RegistrationConfig
-from photoreg.synthetic import SceneOptions, make_scene
+from app.control.user_data import log_into
+from app.model.camera_moves import orbited
+from app.model.formatting import in_words, number
+from app.model.reducers import has_moved
+from app.model.run import PRESET_NAMES
+from app.model.session import looking_at, setting, with_entry
+from app.model.state import Document, PhotoEntry
+from app.panels.advanced import all_settings
+from app.panels.overlay import LEVEL, RESTART
+from photoreg.geometry.camera import Camera
+from photoreg.registration.config import PresetName, RegistrationConfig
+from photoreg.search.box_reach import box_reach
+from photoreg.synthetic.options import SceneOptions
+from photoreg.synthetic.scene import make_scene
 from tests.browser.driver import Driver, wait_until
 
 # What the overlay shows, by content: a picture sent anew is no other picture.

@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser
 
-from app.autosave import DOCUMENT_TYPES
-from app.opening import open_folder
-from app.run import Run
-from photoreg.project import Project
-from photoreg.registration import Finished, RegistrationConfig, refine
-from photoreg.scene_options import SceneOptions
-from photoreg.synthetic import make_scene, write_scene
+from app.control.autosave import DOCUMENT_TYPES
+from app.model.run import Run
+from app.model.scene_files import open_folder
+from photoreg.project.project import Project
+from photoreg.registration.config import RegistrationConfig
+from photoreg.registration.events import Finished
+from photoreg.registration.refinement import refine
+from photoreg.synthetic.options import SceneOptions
+from photoreg.synthetic.scene import make_scene, write_scene
 from tests.browser.driver import Driver, wait_until
-from tests.server_program import server
+from tests.browser.server_program import server
 
 
 def stored_run(folder: Path) -> tuple[Run, bool]:

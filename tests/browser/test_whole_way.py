@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from app.state import Document
-from photoreg.camera import Camera
-from photoreg.evaluate import projection_error
-from photoreg.mesh import Mesh
-from photoreg.sampling import SurfaceSamples
-from photoreg.scene_options import SceneOptions
-from photoreg.synthetic import Scene, make_scene
-from photoreg.visibility import visible
+from app.model.state import Document
+from photoreg.geometry.camera import Camera
+from photoreg.geometry.mesh import Mesh
+from photoreg.geometry.projection_error import projection_error
+from photoreg.geometry.sampling import SurfaceSamples
+from photoreg.geometry.visibility import visible
+from photoreg.synthetic.options import SceneOptions
+from photoreg.synthetic.scene import Scene, make_scene
 from tests.browser.driver import wait_until
 from tests.browser.own_files import whole_way
 

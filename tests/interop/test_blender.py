@@ -12,11 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from photoreg.formats.cameras import write_cameras
-from photoreg.formats.glb import save_textured_glb
-from photoreg.formats.obj import save_textured_obj
-from photoreg.texture import TextureConfig, bake_texture
-from tests.camera_files import camera_set, points_before
+from photoreg.formats.cameras.registry import write_cameras
+from photoreg.formats.models.glb import save_textured_glb
+from photoreg.formats.models.obj import save_textured_obj
+from photoreg.texture.bake import bake_texture
+from photoreg.texture.blend import TextureConfig
+from tests.formats.camera_files import camera_set, points_before
 from tests.painted import ball_and_moon, cameras_around, photograph
 
 pytestmark = pytest.mark.slow

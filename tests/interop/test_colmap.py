@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from photoreg.formats.cameras import read_cameras, write_cameras
-from tests.camera_files import camera_set, largest_error_px, points_before
+from photoreg.formats.cameras.registry import read_cameras, write_cameras
+from tests.formats.camera_files import camera_set, largest_error_px, points_before
 
 pytestmark = pytest.mark.slow
 

@@ -12,10 +12,10 @@ import pytest
 import trimesh
 from PIL import Image
 
-from photoreg.camera import Camera
-from photoreg.formats.camera_set import CameraSet
-from photoreg.formats.cameras import read_cameras, write_cameras
-from tests.camera_files import camera_set, largest_error_px
+from photoreg.formats.cameras.camera_set import CameraSet
+from photoreg.formats.cameras.registry import read_cameras, write_cameras
+from photoreg.geometry.camera import Camera
+from tests.formats.camera_files import camera_set, largest_error_px
 
 pytestmark = pytest.mark.slow
 

@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from photoreg.formats.ply import save_coloured_ply
-from photoreg.formats.seams import vertex_colours
-from photoreg.formats.textured import save_textured
-from photoreg.texture import TextureConfig, TexturedMesh, bake_texture
+from photoreg.formats.models.ply import save_coloured_ply
+from photoreg.formats.models.registry import save_textured
+from photoreg.formats.models.split_vertices import vertex_colours
+from photoreg.texture.bake import TexturedMesh, bake_texture
+from photoreg.texture.blend import TextureConfig
 from tests.painted import ball_and_moon, cameras_around, photograph
 
 pytestmark = pytest.mark.slow

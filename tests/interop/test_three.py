@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from playwright.sync_api import Route, sync_playwright
 
-from photoreg.camera import Camera
-from photoreg.formats.textured import save_textured
-from photoreg.raster import render_geometry
-from photoreg.texture import bake_texture
+from photoreg.formats.models.registry import save_textured
+from photoreg.geometry.camera import Camera
+from photoreg.geometry.rasteriser import render_geometry
+from photoreg.texture.bake import bake_texture
 from tests.browser.driver import launch
 from tests.painted import BACKDROP, ball_and_moon, cameras_around, paint, photograph
 

@@ -16,8 +16,8 @@ from photoreg.formats.meshes.obj import read_obj
 from photoreg.formats.meshes.off import read_off
 from photoreg.formats.meshes.ply import read_ply
 from photoreg.formats.meshes.stl import read_stl
+from photoreg.geometry.mesh import Mesh, unit_rows
 from photoreg.limits import Limits
-from photoreg.mesh import Mesh, unit_rows
 from photoreg.sources import source_file
 
 _READERS: dict[str, Callable[[Path, Limits], MeshContents]] = {

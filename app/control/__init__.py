@@ -1,0 +1,1 @@
+"""What clicks set in motion: runs, files, projects, autosave. No viser."""

@@ -1,0 +1,381 @@
+"""Between session and worker: clicks become jobs, the worker's events become states.
+
+No viser here: the tests drive a whole refinement through this without a browser.
+"""
+
+import dataclasses
+import logging
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from app.control.file_intake import Intake
+from app.control.projects import Projects
+from app.control.resection_solver import Solver
+from app.control.run_control import Refinement, must_be_idle
+from app.engine.client import Worker
+from app.model import reducers
+from app.model import session as rules
+from app.model.failures import log_failure
+from app.model.messages import (
+    SPARE_TIME,
+    Bake,
+    Baked,
+    BakingStopped,
+    Checked,
+    Compared,
+    Died,
+    DrawOverlay,
+    Event,
+    Failed,
+    Live,
+    Measured,
+    MeasureReach,
+    Pack,
+    Packed,
+    Picture,
+    Reached,
+    Ready,
+    Refine,
+    Refined,
+    SearchKept,
+    SetMask,
+    SetScene,
+    Stop,
+    SurfaceDrawn,
+    Timed,
+    Watch,
+    Working,
+)
+from app.model.scene_files import demo_folder, open_folder
+from app.model.session import Session
+from app.model.state import Document, Job, State
+from app.model.wanted_pictures import (
+    needs_overlay,
+    next_comparison,
+    shown_cameras,
+    wanted_reach,
+    wanted_view,
+)
+from app.web.photo_server import Pictures
+from photoreg.errors import InputError
+from photoreg.formats.cameras.download import CamerasDownload, cameras_download
+
+log = logging.getLogger(__name__)
+
+NOTHING_CHANGED = "Nothing has changed."
+
+Deliver = Callable[[str, bytes], None]
+"""Takes a file's name and content, for the person who asked for it."""
+
+
+class Conductor:
+    """What the app can do for its user beyond changing a value."""
+
+    def __init__(
+        self, session: Session, warm_up: bool = True, projects: Projects | None = None
+    ) -> None:
+        self.session = session
+        self.projects = projects if projects is not None else Projects(session)
+        self.pictures = Pictures()
+        """What pages fetch."""
+        self.picture: bytes | None = None
+        """The newest overlay, a JPEG file; of a blink the photo whose turn it is."""
+        self.drawn: Picture | None = None
+        """The newest pictures of the worker, all of them."""
+        self.surface_glb: bytes | None = None
+        """The newest state of the surface in a run, a GLB file in page axes."""
+        self.cloud: np.ndarray | None = None
+        """Camera centres of the population of a search that runs, (n, c, 3)."""
+        self.on_picture: Callable[[], None] = lambda: None
+        self.on_surface: Callable[[], None] = lambda: None
+        self.on_problem: Callable[[str], None] = _ignore
+        """Called with a sentence for everybody who looks at the page."""
+        self.on_failure: Callable[[str, Exception], None] = log_failure
+        """Called with what failed, and how, where nobody foresaw it."""
+        self._scene_sent: Document | None = None
+        self._reach_asked: MeasureReach | None = None
+        self._is_watched = True
+        self._deliver: Deliver = _drop
+        # One lock for both: listeners run under the session's.
+        self._lock = session.lock
+        self.worker = Worker(self._hear, warm_up)
+        self.refinement = Refinement(session, self.worker, self._send_scene)
+        self.solver = Solver(session, self._fail)
+        self.intake = Intake(
+            session,
+            lambda: must_be_idle(session.state),
+            self._tell,
+            self.projects.keep_file,
+        )
+        session.listen(self._follow)
+        self._follow(State(), session.state)
+
+    def close(self) -> None:
+        """Ends the worker and removes uploaded files."""
+        self.solver.close()
+        self.worker.close()
+        self.intake.close()
+
+    # What the user asks for.
+
+    def open_demo(self) -> None:
+        """Opens the demo in place of what is open; undo brings that back."""
+        self.open(open_folder(demo_folder()), "Open the demo")
+
+    def open(self, document: Document, name: str) -> None:
+        """Makes ``document`` the one that is worked on."""
+        must_be_idle(self.session.state)
+        self.session.change(
+            name,
+            lambda state: dataclasses.replace(
+                state, document=document, selected=0, texture=None
+            ),
+        )
+
+    def bake(self) -> None:
+        """Makes the textured model of the document's cameras."""
+        with self._lock:
+            state = self.session.state
+            must_be_idle(state)
+            if state.document.mesh is None or not state.document.used:
+                raise InputError(
+                    "A textured model needs a mesh and a photo. Load them in the "
+                    "Data tab."
+                )
+            self._set(job=Job("Making the texture", can_stop=True))
+            self._send_scene(state.document)
+            self.worker.send(Bake(state.document.used_cameras, state.texture_config))
+
+    def stop_job(self) -> None:
+        """Ends the reading of files at once, the making of a texture after its step."""
+        with self._lock:
+            if self.intake.cancel():
+                return
+            job = self.session.state.job
+            if job is not None and job.can_stop:
+                self._set(job=Job("Stopping", job.fraction, is_stopping=True))
+                self.worker.send(Stop())
+
+    def pack_model(self, deliver: Deliver) -> None:
+        """Has the textured model made into a file; ``deliver`` is then called with it."""
+        with self._lock:
+            state = self.session.state
+            if state.texture is None:
+                raise InputError("Make the texture first.")
+            must_be_idle(state)
+            self._set(job=Job("Packing the files"))
+            self._deliver = deliver
+            self.worker.send(Pack(state.model_choice))
+
+    def pack_cameras(self) -> CamerasDownload:
+        """The document's cameras as a file in the format chosen.
+
+        Raises:
+            InputError: if there are none, or this format cannot hold them.
+        """
+        with self._lock:
+            state = self.session.state
+            must_be_idle(state)
+            document, choice = state.document, state.cameras_choice
+            if not document.photos:
+                raise InputError(
+                    "There are no photos, so there are no cameras to save."
+                )
+            self._set(job=Job("Writing the cameras"))
+        try:
+            return cameras_download(
+                choice.format,
+                {entry.name: entry.camera for entry in document.photos},
+                [entry.photo for entry in document.photos],
+                document.mesh,
+                choice.with_photos,
+            )
+        finally:
+            self._set(job=None)
+
+    def watch(self, on: bool) -> None:
+        """Says whether any browser looks: a run draws its pictures only then."""
+        with self._lock:
+            if on != self._is_watched:
+                self._is_watched = on
+                self.worker.send(Watch(on))
+
+    def blink(self) -> None:
+        """Shows the other picture of a blink, if there is one."""
+        drawn = self.drawn
+        if drawn is not None and drawn.other_jpeg is not None:
+            is_first = self.picture is drawn.jpeg
+            self.picture = drawn.other_jpeg if is_first else drawn.jpeg
+            self.on_picture()
+
+    # What the worker reports.
+
+    def _hear(self, event: Event) -> None:
+        try:
+            self._on_event(event)
+        except Exception as error:  # noqa: BLE001 - nobody clicked: all are told.
+            self._fail(type(event).__name__, error)
+
+    def _fail(self, what: str, error: Exception) -> None:
+        self.on_failure(what, error)
+
+    def _on_event(self, event: Event) -> None:
+        match event:
+            case Ready():
+                self._set(worker="")
+            case Live():
+                self.cloud = event.centers
+                self.session.change(None, lambda state: reducers.advanced(state, event))
+            case SearchKept():
+                self._set(kept_search=event.kept)
+            case Picture():
+                self.picture, self.drawn = event.jpeg, event
+                self.session.change(None, lambda state: reducers.measured(state, event))
+                self.on_picture()
+            case Measured():
+                self._set(agreement=event.agreement)
+            case SurfaceDrawn():
+                self.surface_glb = event.glb
+                self.on_surface()
+            case Refined():
+                self.session.change(None, lambda state: reducers.ended(state, event))
+            case Compared():
+                self.refinement.comparison = event
+                self.on_picture()
+            case Checked():
+                self.session.change(None, lambda state: reducers.checked(state, event))
+            case Reached():
+                self._set(reach=event.reach)
+            case Timed():
+                self._set(speed=event.speed)
+            case Working():
+                self.session.change(None, lambda state: reducers.worked(state, event))
+            case Baked():
+                self._set(job=None, texture=event.texture, note="The texture is ready.")
+            case BakingStopped():
+                self._set(job=None, note="Stopped; the texture is as it was.")
+            case Packed():
+                self._set(job=None)
+                self._deliver(event.name, event.content)
+            case Failed():
+                self._on_failure(event)
+            case Died():
+                self._on_death(event)
+
+    def _on_failure(self, event: Failed) -> None:
+        if event.details:
+            log.error("%s failed:\n%s", event.job, event.details)
+        if event.job in (DrawOverlay.__name__, SPARE_TIME):
+            return  # Nothing to see from there; the last picture and numbers stay.
+        what, rest = "Drawing", NOTHING_CHANGED
+        job = self.session.state.job
+        if job is not None and not self.intake.is_busy:
+            what = job.title
+            self._set(job=None)
+        if event.job == Refine.__name__:
+            what, rest = "The refinement", self._break_off("The refinement failed")
+        if event.details:
+            self.on_problem(f"{what} was cut short: {event.message} {rest}")
+        else:
+            self.on_problem(event.message)
+
+    def _on_death(self, event: Died) -> None:
+        log.error("The worker process died (exit code %s)", event.exit_code)
+        with self._lock:
+            self._scene_sent = self._reach_asked = None
+            self.worker.send(Watch(self._is_watched))
+        state = self.session.state
+        job = state.job if self.intake.is_busy else None
+        self._set(job=job, worker="Starting the engine again")
+        if state.run.is_active:
+            what, rest = "The refinement", self._break_off("The engine died")
+        elif state.job is not None and job is None:
+            what, rest = state.job.title, NOTHING_CHANGED
+        else:
+            return
+        self.on_problem(
+            f"{what} was cut short: the engine process died. It is being started "
+            f"again. {rest}"
+        )
+
+    def _break_off(self, outcome: str) -> str:
+        """Ends the run as it is; returns what a person is told of where it is now."""
+        self.session.change(None, lambda state: reducers.broken_off(state, outcome))
+        now = self.session.state
+        if now.can_go_on:
+            return "Tab 3 has it as it was, to go on with."
+        return (
+            "Its best is in tab 3." if now.run.status == "review" else NOTHING_CHANGED
+        )
+
+    # What follows from a change of state.
+
+    def _follow(self, old: State, new: State) -> None:
+        """Keeps the pictures up to date with the cameras and the choices."""
+        self._follow_review(old, new)
+        if not new.document.shows_same_as(old.document):
+            self.picture = self.drawn = None
+        if new.run.is_active:
+            if wanted_view(new) != wanted_view(old):
+                self.worker.send(wanted_view(new))
+            return
+        if new.document.mesh is None or len(new.document.used) < 2:
+            return
+        with self._lock:
+            reach = wanted_reach(new)
+            is_drawn = needs_overlay(old, new)
+            if is_drawn or reach != self._reach_asked:
+                # First: what a photo may not move is told by its place among them.
+                self._send_scene(new.document)
+            if reach is not None and reach != self._reach_asked:
+                self.worker.send(reach)
+                self._reach_asked = reach
+            if not is_drawn:
+                return
+            names = tuple(entry.name for entry in new.document.used)
+            truth = new.document.true_cameras(names)
+            self.worker.send(DrawOverlay(shown_cameras(new), wanted_view(new), truth))
+
+    def _follow_review(self, old: State, new: State) -> None:
+        """Has a run that waits for a decision drawn beside what it is compared with."""
+        if new.run.status != "review":
+            if old.run.status == "review":
+                self.refinement.comparison = None
+            return
+        wanted = next_comparison(old, new)
+        if wanted is not None:
+            with self._lock:
+                self._send_scene(new.document)
+                self.worker.send(wanted)
+
+    def _send_scene(self, document: Document) -> None:
+        """Sends what of the scene the worker does not have yet."""
+        sent = self._scene_sent
+        if document.mesh is None:
+            return
+        if sent is None or not document.shows_same_as(sent):
+            photos = tuple(entry.photo for entry in document.used)
+            addresses = tuple(self.pictures.address(p, "small") for p in photos)
+            self.worker.send(SetScene(document.mesh, photos, document.masks, addresses))
+        else:
+            masks = enumerate(zip(sent.masks, document.masks, strict=True))
+            self.worker.send(
+                *(SetMask(i, mask) for i, (known, mask) in masks if mask != known)
+            )
+        self._scene_sent = document
+
+    def _tell(self, sentence: str) -> None:
+        self.on_problem(sentence)
+
+    def _set(self, **values: Any) -> None:
+        self.session.change(None, rules.setting(**values))
+
+
+def _drop(_name: str, _content: bytes) -> None:
+    """Nobody has asked for a file."""
+
+
+def _ignore(_: str) -> None:
+    """Nobody is there to be told."""

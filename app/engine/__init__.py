@@ -1,0 +1,1 @@
+"""The worker and reader processes with their jobs, and the client that talks to them."""

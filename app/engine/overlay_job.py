@@ -1,0 +1,287 @@
+"""Pictures of a scene, drawn in the worker: overlays, comparisons, the live surface."""
+
+import contextlib
+import dataclasses
+import functools
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterator
+
+import cv2
+import numpy as np
+
+from app.engine.surface_job import LiveSurface
+from app.model.camera_moves import DisplayFrame
+from app.model.messages import (
+    Compare,
+    Compared,
+    DrawOverlay,
+    Event,
+    Failed,
+    OverlayView,
+    PhotoComparison,
+    Picture,
+    SurfaceDrawn,
+)
+from app.model.state import Surface, same_camera
+from photoreg.errors import PhotoregError
+from photoreg.geometry.camera import Camera
+from photoreg.geometry.mesh import Mesh
+from photoreg.geometry.projection_error import Truth
+from photoreg.imaging.photo import Photo
+from photoreg.overlay.disagreement_map import disagreement_picture, mean_disagreement
+from photoreg.overlay.pictures import AlignedPair, LiveOverlay, compose, swipe
+from photoreg.overlay.surface_lines import SurfaceLines, shaded_normals
+
+PICTURE_SIDE_PX = 1024
+SURFACE_PERIOD_S = 0.5
+"""Time between two states of the surface during a refinement."""
+
+ERROR_SAMPLES = 2_000
+JPEG_QUALITY = 82
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Drawn:
+    """The pair drawn last, and what it was drawn for."""
+
+    onto: int
+    quick: bool
+    cameras: tuple[Camera, ...]
+    pair: AlignedPair
+
+    def is_of(self, onto: int, quick: bool, cameras: tuple[Camera, ...]) -> bool:
+        return (self.onto, self.quick) == (onto, quick) and all(
+            map(same_camera, self.cameras, cameras)
+        )
+
+
+class Drawing:
+    """Pictures of one scene; what does not change is prepared once."""
+
+    def __init__(
+        self, mesh: Mesh, photos: tuple[Photo, ...], addresses: tuple[str, ...] = ()
+    ) -> None:
+        """Makes ready; ``addresses`` as `app.model.messages.SetScene` has them."""
+        self._mesh = mesh
+        self._photos, self._addresses = photos, addresses
+        self._overlay = LiveOverlay(mesh, photos, PICTURE_SIDE_PX)
+        self._lines: SurfaceLines | None = None
+        self._pair: _Drawn | None = None
+        self._start: tuple[object, np.ndarray] | None = None
+        self._truth: Truth | None = None
+
+    def true_error(
+        self, truth: tuple[Camera, ...] | None, cameras: tuple[Camera, ...]
+    ) -> float | None:
+        """Mean projection error in pixels (eq. 5).
+
+        None where the truth is not known, or the surface is behind a camera.
+        """
+        if truth is None:
+            return None
+        known = self._truth
+        if known is None or not all(map(same_camera, known.cameras, truth)):
+            # What the true cameras see is nine tenths of the work.
+            self._truth = known = Truth(self._mesh, truth, ERROR_SAMPLES)
+        error = known.projection_error(cameras).mean
+        return error if np.isfinite(error) else None
+
+    def picture(
+        self,
+        cameras: tuple[Camera, ...],
+        view: OverlayView,
+        truth: tuple[Camera, ...] | None,
+        start: tuple[Camera, ...] | None = None,
+        is_passing: bool = False,
+    ) -> Picture:
+        """The overlay, and what a view through the photo needs beside it.
+
+        Args:
+            cameras: One a photo.
+            view: What to draw.
+            truth: The true cameras, where they are known.
+            start: The cameras before, for a line between before and now.
+            is_passing: Whether the next picture is on its way, so that a quick one will
+                do where it looks like a sharp one: 18 ms instead of 46.
+        """
+        overlay, onto = self._overlay, view.onto % len(cameras)
+        quick = is_passing and view.style not in ("difference", "edges")
+        if self._pair is None or not self._pair.is_of(onto, quick, cameras):
+            # A slider of the overlay's asks for the same pair again and again; of a
+            # search the best stays for one generation in two, or three.
+            carried = (onto + 1) % len(cameras)
+            draw = overlay.quick_pair if quick else overlay.pair
+            self._pair = _Drawn(onto, quick, cameras, draw(cameras, onto, carried))
+        pair = self._pair.pair
+        other = normals = lines = None
+        if view.style == "blink":
+            jpeg = encode_jpeg(pair.base)
+            other = encode_jpeg(compose(pair, "carried"))
+        else:
+            picture = compose(pair, view.style, view.share)
+            if start is not None and view.start_line is not None:
+                before = self._start_picture(start, view, onto)
+                picture = swipe(before, picture, view.start_line)
+            jpeg = encode_jpeg(picture)
+        if view.through == "normals":
+            normals = encode_jpeg(
+                shaded_normals(
+                    overlay.mesh, overlay.photos[onto], cameras[onto], view.mesh_opacity
+                )
+            )
+        if view.through == "lines":
+            if self._lines is None:
+                self._lines = SurfaceLines(overlay.mesh)
+            lines = self._lines.seen_from(cameras[onto])
+        return Picture(
+            jpeg,
+            self.true_error(truth, cameras),
+            other,
+            self._photos[onto].name,
+            normals,
+            lines,
+        )
+
+    def _start_picture(
+        self, start: tuple[Camera, ...], view: OverlayView, onto: int
+    ) -> np.ndarray:
+        key = (onto, view.style, view.share, tuple(map(id, start)))
+        if self._start is None or self._start[0] != key:
+            pair = self._overlay.pair(start, onto, (onto + 1) % len(start))
+            picture = compose(pair, "blend" if view.style == "blink" else view.style)
+            self._start = (key, picture)
+            self._start_cameras = start  # Ids of living objects do not repeat.
+        return self._start[1]
+
+    def surface(self, cameras: tuple[Camera, ...], surface: Surface) -> SurfaceDrawn:
+        """The object with photos or heat map laid on."""
+        return SurfaceDrawn(self.live_surface.glb(cameras, surface))
+
+    @functools.cached_property
+    def live_surface(self) -> LiveSurface:
+        """What draws the object; made in spare time, or when it is first shown."""
+        return LiveSurface(
+            self._overlay.quick_mesh,
+            self._photos,
+            self._addresses,
+            DisplayFrame.of(self._mesh),
+        )
+
+    def comparison(self, job: Compare) -> Compared:
+        """Two sets of cameras beside each other, in every photo."""
+        overlay, photos = self._overlay, []
+        mode = "carried" if job.style in ("blink", "swipe") else job.style
+        for onto, photo in enumerate(overlay.photos):
+            carried = (onto + 1) % len(overlay.photos)
+            before = overlay.pair(job.before, onto, carried)
+            after = overlay.pair(job.after, onto, carried)
+            photos.append(
+                PhotoComparison(
+                    photo.name,
+                    overlay.photos[carried].name,
+                    encode_jpeg(compose(before, mode)),
+                    encode_jpeg(compose(after, mode)),
+                    encode_jpeg(disagreement_picture(before)),
+                    encode_jpeg(disagreement_picture(after)),
+                    mean_disagreement(before),
+                    mean_disagreement(after),
+                )
+            )
+        return Compared(job.before, job.after, job.style, tuple(photos))
+
+
+class Painter:
+    """Draws the newest cameras on its own thread, and skips what is overtaken.
+
+    The overlay's kernels are not parallel and hold no lock, so they run beside a
+    search on another core; neither search nor measurement waits for a picture.
+    """
+
+    def __init__(self, send: Callable[[Event], None]) -> None:
+        self.is_watched = True
+        """Whether anybody looks at the pictures of a run that goes on."""
+        self._send = send
+        self._newest: Callable[[], Iterator[Event]] | None = None
+        self._surface_at = -np.inf
+        self._is_passing = False
+        self._changed = threading.Condition()
+        self._is_busy = False
+        threading.Thread(target=self._paint, daemon=True, name="painter").start()
+
+    def offer(
+        self,
+        drawing: Drawing,
+        cameras: tuple[Camera, ...],
+        view: OverlayView,
+        truth: tuple[Camera, ...] | None,
+        start: tuple[Camera, ...] | None = None,
+    ) -> None:
+        """What to draw next, unless something newer comes first.
+
+        With ``start``, a refinement is going on: the surface is drawn too, nothing if
+        nobody looks, and pauses leave most of a core to the search.
+        """
+        if start is not None and not self.is_watched:
+            return
+
+        def draw() -> Iterator[Event]:
+            is_passing = start is not None
+            yield drawing.picture(cameras, view, truth, start, is_passing)
+            is_due = time.monotonic() - self._surface_at >= SURFACE_PERIOD_S
+            if start is not None and view.surface != "clay" and is_due:
+                self._surface_at = time.monotonic()
+                yield drawing.surface(cameras, view.surface)
+
+        with self._changed:
+            self._newest, self._is_passing = draw, start is not None
+            self._changed.notify_all()
+
+    def finish(self) -> None:
+        """Drops what waits, and waits until nothing is being drawn."""
+        with self._changed:
+            self._newest = None
+            self._changed.wait_for(lambda: not self._is_busy)
+
+    def _paint(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._newest is not None)
+                draw, is_passing = self._newest, self._is_passing
+                assert draw is not None
+                self._newest, self._is_busy = None, True
+            worked = time.thread_time()
+            try:
+                for event in draw():
+                    self._send(event)
+            except PhotoregError as error:
+                # A pose from which nothing is seen has no picture.
+                self._send(Failed(DrawOverlay.__name__, str(error)))
+            except (EOFError, OSError):
+                return  # The app is gone.
+            except Exception:  # noqa: BLE001 - the border of a thread: report.
+                # Without memory there may be none to tell so; the next one is tried.
+                with contextlib.suppress(MemoryError):
+                    self._send(
+                        Failed(
+                            DrawOverlay.__name__, "No picture.", traceback.format_exc()
+                        )
+                    )
+            finally:
+                # Whatever becomes of a picture, nobody waits for it in vain.
+                with self._changed:
+                    self._is_busy = False
+                    self._changed.notify_all()
+            if is_passing:
+                # Never more than two fifths of a core, however large the scene is. Time
+                # that others had the core does not count: it slows the search already.
+                time.sleep(1.5 * (time.thread_time() - worked))
+
+
+def encode_jpeg(picture: np.ndarray) -> bytes:
+    """A picture (h, w, 3) in sRGB bytes as a JPEG file."""
+    bgr = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
+    done, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    assert done
+    return data.tobytes()

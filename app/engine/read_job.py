@@ -1,0 +1,216 @@
+"""Files read in a process of their own, which Cancel simply ends.
+
+Neither Pillow nor trimesh can be interrupted within a file, nor can libyaml. The worker cannot be ended
+for it: it holds the scene and its compiled kernels, and may be at work.
+"""
+
+import contextlib
+import dataclasses
+import logging
+import threading
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+
+from app.engine.spawn import PATIENCE_S, spawned
+from app.model.file_kinds import CAMERAS, MESH, PHOTO, is_zip, kind_of
+from app.model.messages import (
+    CamerasLoaded,
+    Failed,
+    MeshLoaded,
+    PhotoLoaded,
+    ReadAll,
+    Reading,
+    ReadingEvent,
+    Unpacked,
+)
+from app.model.scene_files import DISPLAY_FACES
+from photoreg.errors import PhotoregError
+from photoreg.formats.archives import unzipped
+from photoreg.formats.cameras.find import find_cameras
+from photoreg.formats.cameras.meshlab import PADDED
+from photoreg.formats.cameras.registry import format_to_read, read_cameras
+from photoreg.formats.meshes.read import load_mesh
+from photoreg.imaging.photo import load_photo
+
+log = logging.getLogger(__name__)
+
+PARSED = 0.6
+"""Share of a mesh's time after which its file is read; the rest thins it for display."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Wanted:
+    """What is read together."""
+
+    paths: tuple[Path, ...]
+    """Meshes and photos."""
+    cameras: Path | None
+    """A folder with the files of one set of cameras; read after the others."""
+    photos: Mapping[str, Path]
+    """Photos by name, to which cameras may belong."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Packed:
+    """Zips, out of which come cameras, and the mesh and photos that are not there."""
+
+    archives: tuple[Path, ...]
+    folder: Path
+    """Where they go."""
+    known: frozenset[str]
+    """Names of photos that are there."""
+    has_mesh: bool
+
+    def wants(self, name: str) -> bool:
+        """Whether a file comes out of its zip."""
+        kind = kind_of(Path(name))
+        if kind == PHOTO:
+            # MeshLab's padded copies are of photos that have another name.
+            return name not in self.known and PADDED.fullmatch(name) is None
+        is_of_cameras = kind == CAMERAS and not is_zip(Path(name))
+        return is_of_cameras or (kind == MESH and not self.has_mesh)
+
+
+class Reader:
+    """Reads one batch of files at a time. Events arrive on a thread of this object."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._process: BaseProcess | None = None
+        self._connection: Connection | None = None
+
+    def prepare(self) -> None:
+        """Starts the process, which takes a second; files may still be on their way."""
+        with self._lock:
+            self._start()
+
+    def read(
+        self, wanted: Wanted | Packed, on_event: Callable[[ReadingEvent], None]
+    ) -> None:
+        """Starts to read or unpack; returns at once. The last event is ``ReadAll``.
+
+        After ``cancel`` some events may still come that were on their way.
+        """
+        with self._lock:
+            process, connection = self._start()
+        threading.Thread(
+            target=_pump,
+            args=(process, connection, wanted, on_event),
+            daemon=True,
+            name="reader",
+        ).start()
+
+    def cancel(self) -> None:
+        """Ends the process, whatever it is about."""
+        with self._lock:
+            process, self._process = self._process, None
+        if process is not None:
+            process.kill()
+            process.join(timeout=PATIENCE_S)
+
+    def _start(self) -> tuple[BaseProcess, Connection]:
+        process, connection = self._process, self._connection
+        if process is None or connection is None or not process.is_alive():
+            process, connection = spawned(_serve)
+            self._process, self._connection = process, connection
+        return process, connection
+
+
+def _pump(
+    process: BaseProcess,
+    connection: Connection,
+    wanted: Wanted | Packed,
+    on_event: Callable[[ReadingEvent], None],
+) -> None:
+    at = ""
+    try:
+        connection.send(wanted)
+        while True:
+            event: ReadingEvent = connection.recv()
+            if isinstance(event, Reading):
+                at = f" ({event.title})"
+            on_event(event)
+            if isinstance(event, ReadAll):
+                return
+    except (EOFError, OSError):
+        process.join(timeout=PATIENCE_S)
+        text = (
+            f"Reading was cut short{at}: the decoder failed, or there is too little "
+            "memory. Save that file anew, or in another format."
+        )
+        on_event(Failed("read", text))
+        on_event(ReadAll(complete=False))
+    except Exception:
+        log.exception("A file that was read was not handled")
+        on_event(Failed("read", "Opening failed; the log has the details."))
+        on_event(ReadAll(complete=False))
+
+
+def _serve(connection: Connection) -> None:
+    try:
+        while True:
+            wanted = connection.recv()
+            unpacks = isinstance(wanted, Packed)
+            for event in _unpack(wanted) if unpacks else _read(wanted):
+                connection.send(event)
+    except (EOFError, OSError):
+        return  # The app is gone.
+
+
+def _read(wanted: Wanted) -> Iterator[ReadingEvent]:
+    places = [*wanted.paths, *([wanted.cameras] if wanted.cameras else [])]
+    sizes = [max(_size(place), 1) for place in places]
+    for i, place in enumerate(places):
+        name = "the cameras" if place == wanted.cameras else place.name
+        of = f" ({i + 1} of {len(places)})" if len(places) > 1 else ""
+        done, share = sum(sizes[:i]) / sum(sizes), sizes[i] / sum(sizes)
+        yield Reading(f"Reading {name}{of}", done)
+        with _failures(f"Reading {name}") as failures:
+            if place == wanted.cameras:
+                path = find_cameras(place)
+                told = path.name if path.is_file() else format_to_read(path).label
+                yield CamerasLoaded(told, read_cameras(path, photos=wanted.photos))
+            elif kind_of(place) == MESH:
+                mesh = load_mesh(place)
+                title = f"Preparing {name} for display{of}"
+                yield Reading(title, done + PARSED * share)
+                yield MeshLoaded(mesh, mesh.decimated(DISPLAY_FACES))
+            else:
+                yield PhotoLoaded(load_photo(place))
+        yield from failures
+    yield ReadAll(complete=True)
+
+
+def _unpack(packed: Packed) -> Iterator[ReadingEvent]:
+    for i, archive in enumerate(packed.archives):
+        yield Reading(f"Unpacking {archive.name}", i / len(packed.archives))
+        folder = packed.folder / archive.stem
+        with _failures(f"Unpacking {archive.name}") as failures:
+            yield Unpacked(tuple(unzipped(archive, folder, packed.wants)))
+            archive.unlink()
+        yield from failures
+    yield ReadAll(complete=True)
+
+
+@contextlib.contextmanager
+def _failures(what: str) -> Iterator[list[Failed]]:
+    """Catches what goes wrong with one file; the list has it afterwards."""
+    failures: list[Failed] = []
+    try:
+        yield failures
+    except PhotoregError as error:
+        failures.append(Failed("read", str(error)))
+    except MemoryError:
+        failures.append(Failed("read", f"{what} takes more memory than there is."))
+    except Exception:  # noqa: BLE001 - the border of the process: report.
+        text = f"{what} crashed; the log has the details."
+        failures.append(Failed("read", text, traceback.format_exc()))
+
+
+def _size(place: Path) -> int:
+    """Bytes of a file, or of all that is in a folder."""
+    files = place.rglob("*") if place.is_dir() else [place]
+    return sum(path.stat().st_size for path in files)

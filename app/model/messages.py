@@ -1,0 +1,413 @@
+"""What the app and its processes tell each other: jobs down, events up."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.model.durations import Speed
+from app.model.run import CurvePoint, KeptSearch
+from app.model.state import (
+    Agreement,
+    ModelChoice,
+    OverlayStyle,
+    Surface,
+    Texture,
+    ThroughStyle,
+)
+from photoreg.formats.cameras.cameras_json import CameraFile
+from photoreg.geometry.camera import Camera
+from photoreg.geometry.mesh import Mesh
+from photoreg.imaging.photo import Photo
+from photoreg.parameters.freedom import Freedom
+from photoreg.registration.config import RegistrationConfig
+from photoreg.registration.readiness import Readiness
+from photoreg.search.box_reach import BoxReach
+from photoreg.texture.blend import TextureConfig
+
+SPARE_TIME = "SpareTime"
+"""What ``Failed`` calls what the worker does while nothing is asked of it."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SetScene:
+    """The mesh and photos that later jobs are about; sent once, they are big."""
+
+    mesh: Mesh
+    photos: tuple[Photo, ...]
+    mask_pngs: tuple[bytes | None, ...] = ()
+    """The photos' masks, see ``app.model.masks``; empty if no photo has one."""
+    addresses: tuple[str, ...] = ()
+    """Where a page finds the photos, reduced; empty if no page is to show them on the
+    surface."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SetMask:
+    """Another mask for one photo of the scene; what is big stays where it is."""
+
+    photo: int
+    """Index of the photo in the scene."""
+    png: bytes | None
+    """See ``app.model.masks``; None: the photo counts everywhere."""
+
+
+@dataclasses.dataclass(frozen=True)
+class OverlayView:
+    """How the overlay picture is drawn."""
+
+    style: OverlayStyle
+    onto: int
+    """Index of the photo that stays; the next one is carried over into it."""
+    share: float = 0.5
+    """Share of the carried photo in a blend; where the line of a swipe is."""
+    through: ThroughStyle = "surface"
+    """What a view through the photo needs beside the overlay."""
+    mesh_opacity: float = 0.5
+    """How much of the normals is mixed into the photo."""
+    start_line: float | None = None
+    """Where the start ends and the overlay now begins, as a share of the width."""
+    surface: Surface = "clay"
+    """What the object shows in the 3-D view while a run goes on."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class DrawOverlay:
+    """Draw the overlay for these cameras, once."""
+
+    cameras: tuple[Camera, ...]
+    view: OverlayView
+    truth: tuple[Camera, ...] | None
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Refine:
+    """Refine these cameras of the scene's photos."""
+
+    cameras: tuple[Camera, ...]
+    config: RegistrationConfig
+    view: OverlayView
+    truth: tuple[Camera, ...] | None
+    freedom: Freedom = dataclasses.field(default_factory=Freedom)
+    """What may move."""
+    number: int = 0
+    """The run's number."""
+    kept: KeptSearch | None = None
+    """Where it goes on; None: it begins."""
+    level: float = 1.0
+    """Where the cost curve was then."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Compare:
+    """Draw the overlays of two sets of cameras, and where their photos disagree."""
+
+    before: tuple[Camera, ...]
+    after: tuple[Camera, ...]
+    style: OverlayStyle
+    surface: Surface
+    """What the object is to show with the cameras after."""
+
+
+@dataclasses.dataclass(frozen=True)
+class MeasureReach:
+    """Tell how far a search with these settings looks, from now on."""
+
+    config: RegistrationConfig
+    freedom: Freedom
+
+
+@dataclasses.dataclass(frozen=True)
+class Watch:
+    """Whether anybody looks: else a refinement that runs draws no pictures."""
+
+    on: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class Pause:
+    """Halt the refinement where it is."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Resume:
+    """Go on with the refinement."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Stop:
+    """End the refinement, keeping the best so far, or the making of a texture."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Bake:
+    """Make the textured model."""
+
+    cameras: tuple[Camera, ...]
+    config: TextureConfig = TextureConfig()
+
+
+@dataclasses.dataclass(frozen=True)
+class Pack:
+    """Make a file for download of the textured model made last."""
+
+    choice: ModelChoice
+
+
+@dataclasses.dataclass(frozen=True)
+class Ready:
+    """The worker has compiled its kernels and waits for work."""
+
+    seconds: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Reading:
+    """A file is being read."""
+
+    title: str
+    fraction: float
+    """Of all the files that are read together."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Unpacked:
+    """Files have come out of a zip."""
+
+    paths: tuple[Path, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class ReadAll:
+    """No more files come."""
+
+    complete: bool
+    """False: the reader died before its end."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class MeshLoaded:
+    """A mesh file was read."""
+
+    mesh: Mesh
+    display_mesh: Mesh
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PhotoLoaded:
+    """A photo file was read."""
+
+    photo: Photo
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class CamerasLoaded:
+    """Cameras were read."""
+
+    name: str
+    """Of their file, or of their format where that is a folder."""
+    file: CameraFile
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Live:
+    """The refinement goes on."""
+
+    progress: Any
+    """A ``photoreg.registration.refinement.Progress``."""
+    curve: tuple[CurvePoint, ...]
+    """The cost curve since the last of these."""
+    paused_s: float = 0.0
+    """Seconds of pauses so far."""
+    centers: np.ndarray | None = None
+    """Camera centres of the best individuals of the population, (n, c, 3) in world
+    axes; None outside the search."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SearchKept:
+    """The refinement can go on from here if it is cut short."""
+
+    kept: KeptSearch
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Picture:
+    """The overlay drawn for the newest cameras."""
+
+    jpeg: bytes
+    error_px: float | None
+    """Mean projection error of those cameras, where the truth is known."""
+    other_jpeg: bytes | None = None
+    """What a blink shows in turn with ``jpeg``."""
+    onto: str = ""
+    """Name of the photo that the picture was drawn upon."""
+    normals_jpeg: bytes | None = None
+    """The surface's normals over that photo, where asked for."""
+    lines: np.ndarray | None = None
+    """Silhouette and creases that it sees, (s, 2, 3), where asked for."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Measured:
+    """How well the photos agree under the newest cameras."""
+
+    agreement: Agreement
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Refined:
+    """The refinement ended; ``finished`` is None when the user stopped it."""
+
+    cameras: tuple[Camera, ...]
+    finished: Any
+    """A ``photoreg.registration.refinement.Finished``, or None."""
+    start_error_px: float | None
+    error_px: float | None
+    paused_s: float = 0.0
+    """Seconds of pauses."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SurfaceDrawn:
+    """The object with the photos, or their disagreement, on it."""
+
+    glb: bytes
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PhotoComparison:
+    """Before and after in one photo; all pictures are JPEG files."""
+
+    name: str
+    carried: str
+    """Name of the photo carried over into it."""
+    before: bytes
+    after: bytes
+    disagreement_before: bytes
+    disagreement_after: bytes
+    levels_before: float | None
+    """Mean disagreement in grey levels of 255; None where nothing is shared."""
+    levels_after: float | None
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Compared:
+    """Two sets of cameras beside each other, in every photo."""
+
+    before: tuple[Camera, ...]
+    after: tuple[Camera, ...]
+    style: OverlayStyle
+    photos: tuple[PhotoComparison, ...]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Checked:
+    """Whether a refinement from these cameras can work."""
+
+    cameras: tuple[Camera, ...]
+    readiness: Readiness
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Reached:
+    """How far a search from the cameras on screen looks."""
+
+    reach: BoxReach
+
+
+@dataclasses.dataclass(frozen=True)
+class Timed:
+    """How fast this machine is with the scene."""
+
+    speed: Speed
+
+
+@dataclasses.dataclass(frozen=True)
+class Working:
+    """A job goes on."""
+
+    title: str
+    fraction: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Baked:
+    """The textured model, ready to be downloaded and shown."""
+
+    texture: Texture
+
+
+@dataclasses.dataclass(frozen=True)
+class BakingStopped:
+    """The making of the texture ended early, as asked."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Packed:
+    """A file for download."""
+
+    name: str
+    content: bytes
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Failed:
+    """A job could not be done."""
+
+    job: str
+    """The name of its class, or ``SPARE_TIME``."""
+    message: str
+    """For the user: a sentence, or of what nobody foresaw the end of one, its cause."""
+    details: str = ""
+    """The traceback of what nobody foresaw; empty for errors raised on purpose."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Died:
+    """The worker process is gone; a new one is on its way."""
+
+    exit_code: int | None
+
+
+Job = (
+    SetScene
+    | SetMask
+    | DrawOverlay
+    | Refine
+    | Compare
+    | MeasureReach
+    | Bake
+    | Pack
+    | OverlayView
+    | Watch
+    | Pause
+    | Resume
+    | Stop
+)
+Event = (
+    Ready
+    | Live
+    | SearchKept
+    | Picture
+    | Measured
+    | SurfaceDrawn
+    | Refined
+    | Compared
+    | Checked
+    | Reached
+    | Timed
+    | Working
+    | Baked
+    | BakingStopped
+    | Packed
+    | Failed
+    | Died
+)
+Loaded = MeshLoaded | PhotoLoaded | CamerasLoaded
+ReadingEvent = Reading | Unpacked | Loaded | Failed | ReadAll
+"""What the reader tells, which is a process beside the worker."""
+
+Passing = Live | Picture | Measured | SurfaceDrawn
+"""Events of which only the newest is worth telling."""

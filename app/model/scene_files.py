@@ -1,0 +1,169 @@
+"""Where the static files are, and how a scene is opened from a folder or from files."""
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from app.model.camera_moves import first_camera, up_of
+from app.model.state import Document, PhotoEntry
+from photoreg.errors import InputError
+from photoreg.formats.cameras.cameras_json import CameraFile, load_cameras
+from photoreg.formats.cameras.registry import read_cameras
+from photoreg.formats.meshes.read import MESH_SUFFIXES, load_mesh
+from photoreg.imaging.photo import load_photo
+from photoreg.imaging.photo_formats import PHOTO_SUFFIXES
+
+DISPLAY_FACES = 150_000
+"""Faces the page draws at most; WebGL in a browser takes 200,000 with ease."""
+
+ROUGH_CAMERAS = "rough.json"
+TRUE_CAMERAS = "cameras.json"
+
+
+def static_folder() -> Path:
+    """The folder of static files: within an installed app, beside it in a checkout."""
+    installed = Path(__file__).parents[1] / "static"
+    return installed if installed.is_dir() else Path(__file__).parents[2] / "static"
+
+
+def demo_folder() -> Path:
+    """The folder of the demo."""
+    return static_folder() / "demo"
+
+
+def open_folder(folder: Path) -> Document:
+    """The scene of a folder as `photoreg synthesize` makes it.
+
+    The mesh and the photos are told by their suffixes, photos in the order of their
+    names; ``rough.json`` is where to start, ``cameras.json`` the truth beside it, or
+    the start where there is no ``rough.json``.
+
+    Raises:
+        InputError: if the folder has no mesh or no photos, or a file is not valid.
+    """
+    if not folder.is_dir():
+        raise InputError(f"The folder {folder} does not exist. Check the path.")
+    files = sorted(path for path in folder.iterdir() if path.is_file())
+    document = open_files(
+        [p for p in files if p.suffix.lower() in MESH_SUFFIXES][:1]
+        + [p for p in files if p.suffix.lower() in PHOTO_SUFFIXES]
+    )
+    if document.mesh is None or not document.photos:
+        raise InputError(
+            f"{folder} should hold a mesh ({', '.join(MESH_SUFFIXES)}) and photos "
+            f"({', '.join(PHOTO_SUFFIXES)})."
+        )
+    rough, true = folder / ROUGH_CAMERAS, folder / TRUE_CAMERAS
+    if rough.exists():
+        document = with_camera_file(document, rough)
+        if true.exists():
+            truth = tuple(load_cameras(true).cameras.items())
+            document = dataclasses.replace(document, truth=truth)
+    elif true.exists():
+        document = with_camera_file(document, true)
+    return document
+
+
+def open_files(paths: Sequence[Path], cameras: Path | None = None) -> Document:
+    """The scene of a mesh and photos, in any order; first cameras unless given.
+
+    Raises:
+        InputError: if there are two meshes, a file of neither kind, or an invalid one.
+    """
+    document = Document()
+    photos = []
+    for path in paths:
+        suffix = path.suffix.lower()
+        if suffix in MESH_SUFFIXES:
+            if document.mesh is not None:
+                raise InputError(
+                    f"{path.name} is a second mesh; photos are laid onto one. "
+                    "Join the meshes first."
+                )
+            mesh = load_mesh(path)
+            document = dataclasses.replace(
+                document, mesh=mesh, display_mesh=mesh.decimated(DISPLAY_FACES)
+            )
+        elif suffix in PHOTO_SUFFIXES:
+            photos.append(path)
+        else:
+            raise InputError(
+                f"{path.name} is neither a mesh ({', '.join(MESH_SUFFIXES)}) nor a "
+                f"photo ({', '.join(PHOTO_SUFFIXES)})."
+            )
+    entries: list[PhotoEntry] = []
+    for path in photos:
+        photo = load_photo(path)
+        if any(entry.name == photo.name for entry in entries):
+            raise InputError(
+                f"Two photos are called {photo.name}; photos are told by file name."
+            )
+        placed = tuple(entry.camera for entry in entries)
+        camera = first_camera(document.mesh, photo, document.up, placed)
+        entries.append(PhotoEntry(photo, camera))
+    document = dataclasses.replace(document, photos=tuple(entries))
+    return document if cameras is None else with_camera_file(document, cameras)
+
+
+def with_camera_file(document: Document, path: Path) -> Document:
+    """The document with the cameras of a file or folder of any format.
+
+    Raises:
+        InputError: if they cannot be read, or do not go with the photos.
+    """
+    file = read_cameras(path, photos=photo_files(document))
+    return with_cameras(document, file, path.name)
+
+
+def photo_files(document: Document) -> dict[str, Path]:
+    """The files of the photos, by name, as far as they are there."""
+    return {
+        entry.name: entry.photo.source.path
+        for entry in document.photos
+        if entry.photo.source is not None and entry.photo.source.path.is_file()
+    }
+
+
+def with_cameras(document: Document, file: CameraFile, name: str) -> Document:
+    """The document with cameras that were read, matched by photo name.
+
+    Photos that the file does not have keep their cameras.
+
+    Args:
+        document: What is open.
+        file: The cameras.
+        name: Of the file, for the sentence of an error.
+
+    Raises:
+        InputError: if none of the photos has a camera there, or one is for a photo of
+            another size.
+    """
+    if not document.photos:
+        raise InputError(
+            f"{name} has cameras for {listed(file.cameras)}. Open these photos first, "
+            "or together with it: cameras are matched to photos by file name."
+        )
+    known = [entry for entry in document.photos if file.of_photo(entry.name)]
+    if not known:
+        raise InputError(
+            f"{name} has cameras for {listed(file.cameras)}, but the photos are "
+            f"{listed(entry.name for entry in document.photos)}. Photos are matched by "
+            "file name; rename them in the list above."
+        )
+    cameras = file.of_photos([entry.photo for entry in known])
+    found = {entry.name: camera for entry, camera in zip(known, cameras, strict=True)}
+    return dataclasses.replace(
+        document,
+        photos=tuple(
+            dataclasses.replace(entry, camera=found.get(entry.name, entry.camera))
+            for entry in document.photos
+        ),
+        up=up_of(tuple(cameras)) or document.up,
+    )
+
+
+def listed(names: Iterable[str], most: int = 5) -> str:
+    """The first names, and how many more there are."""
+    known = list(names)
+    more = f" and {len(known) - most} more" if len(known) > most else ""
+    return (", ".join(known[:most]) or "nothing") + more

@@ -1,0 +1,78 @@
+"""Which pictures of the photos go with a state: what the worker is asked to draw."""
+
+from app.model.messages import Compare, MeasureReach, OverlayView
+from app.model.state import State, same_camera
+from photoreg.geometry.camera import Camera
+
+
+def wanted_view(state: State) -> OverlayView:
+    """How the overlay is drawn, and what goes with it."""
+    return OverlayView(
+        state.overlay_style,
+        state.overlay_onto,
+        state.overlay_share,
+        state.through_style,
+        state.mesh_opacity if state.through_style == "normals" else 0.0,
+        state.start_line,
+        state.surface,
+    )
+
+
+def shown_cameras(state: State) -> tuple[Camera, ...]:
+    """The cameras on screen of the photos in use: those of the run while there is one."""
+    return tuple(entry.camera for entry in state.photos if entry.enabled)
+
+
+def needs_overlay(old: State, new: State) -> bool:
+    """Whether the overlay of the new state is another one."""
+    return (
+        wanted_view(new) != wanted_view(old)
+        or not new.document.shows_same_as(old.document)
+        or old.document.masks != new.document.masks
+        or old.run.is_active
+        or not _same_cameras(shown_cameras(new), shown_cameras(old))
+    )
+
+
+def wanted_reach(state: State) -> MeasureReach | None:
+    """What the next run's reach depends on beside the cameras; None without two."""
+    if state.document.mesh is None or len(state.document.used) < 2:
+        return None
+    return MeasureReach(state.settings, state.freedom)
+
+
+def wanted_comparison(state: State) -> Compare | None:
+    """The run on screen, and what it is compared with; None without one.
+
+    A photo that is used now but was not in one of them keeps its own camera.
+    """
+    run = state.run
+    if run.status != "review":
+        return None
+    other = dict(zip(run.photo_names, run.start, strict=True))
+    for candidate in state.runs:
+        if candidate.number == state.compared_with:
+            other |= dict(zip(candidate.photo_names, candidate.cameras, strict=True))
+    used = state.document.used
+    if len(used) < 2:
+        return None
+    before = tuple(other.get(entry.name, entry.camera) for entry in used)
+    return Compare(before, shown_cameras(state), state.overlay_style, state.surface)
+
+
+def next_comparison(old: State, new: State) -> Compare | None:
+    """What the new state compares; None: nothing, or what the old one did."""
+    wanted, before = wanted_comparison(new), wanted_comparison(old)
+    if (
+        wanted is not None
+        and before is not None
+        and (wanted.style, wanted.surface) == (before.style, before.surface)
+        and _same_cameras(wanted.before, before.before)
+        and _same_cameras(wanted.after, before.after)
+    ):
+        return None
+    return wanted
+
+
+def _same_cameras(a: tuple[Camera, ...], b: tuple[Camera, ...]) -> bool:
+    return len(a) == len(b) and all(map(same_camera, a, b))

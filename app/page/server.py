@@ -1,0 +1,473 @@
+"""The page: a viser server, its panels and scene, and one thread that paints them.
+
+Callbacks change the session; the painter alone writes to viser, newest state first,
+so that nothing flickers however fast the changes come.
+"""
+
+import contextlib
+import dataclasses
+import io
+import threading
+import time
+from collections.abc import Callable
+from typing import Any, cast
+
+import numpy as np
+import viser
+
+from app.control.camera_claims import Hands
+from app.control.controller import Conductor
+from app.model.failures import log_failure
+from app.model.markup import escaped, sending
+from app.model.session import Session, with_entry
+from app.model.state import Job, State
+from app.panels.align import AlignPanel
+from app.panels.data import DataPanel
+from app.panels.export import ExportPanel
+from app.panels.meter import meter_html
+from app.panels.overlay import OverlayPanel
+from app.panels.points import PointsPanel
+from app.panels.project import ProjectPanel
+from app.panels.refine import RefinePanel
+from app.panels.view import ViewPanel
+from app.scene.canvas import backdrop
+from app.scene.nodes import Scene
+from app.scene.viewport import Viewport
+from app.web.access import Doors, start_viser
+from app.web.bridge import Bus
+from app.web.controls import (
+    BRAND,
+    guarded,
+    guarded_client,
+    has_left,
+    notify,
+    put,
+    report,
+)
+from app.web.help import Help
+from app.web.hints import button_hints
+from app.web.pending_messages import hear_out
+from app.web.uploads import limit_uploads
+from app.web.widgets import Tool, Tools
+from photoreg.errors import PhotoregError
+from photoreg.geometry.camera import Camera
+from photoreg.limits import Limits
+
+PAINT_PERIOD_S = 1 / 30
+PASSING_PERIOD_S = 0.25
+"""What a run tells waits so long for the next picture, to be painted together with it: a
+browser without a graphics card needs 20 to 50 ms of a core each time a word changes."""
+
+PASSING = ("run", "kept_search", "agreement")
+"""The parts of the state that change all the time while a run goes on."""
+
+BLINK_PERIOD_S = 0.6
+SCENE_PERIOD_S = 0.5
+"""Time between two states of the 3-D view during a refinement. For each, viser draws for a
+quarter of a second and more, at 80 to 150 ms of a core a frame in a browser without a
+graphics card, which the search could use."""
+GIZMO_HOLD_S = 20.0
+"""A gizmo that says nothing for so long is no longer in anybody's hand."""
+
+
+class Page:
+    """The running app: everything between the session and the browsers."""
+
+    def __init__(
+        self,
+        session: Session,
+        conductor: Conductor,
+        doors: Doors | None = None,
+        port: int = 8080,
+        shadows: bool = True,
+    ) -> None:
+        self.session = session
+        self.conductor = conductor
+        self.projects = conductor.projects
+        self._limits = Limits.of_environment()
+        self.server = start_viser(doors or Doors(), port, conductor.pictures)
+        limit_uploads(self.server, self._limits, self._on_refused)
+        self._dark: bool | None = None
+        self._viewports: dict[int, Viewport] = {}
+        self._view_panels: dict[int, ViewPanel] = {}
+        self._hands = Hands()
+        self._help = Help()
+        self._blinked_at = 0.0
+        self._scene_at, self._is_scene_late = -np.inf, False
+        self._drag = 0
+        self._wake, self._urgent = threading.Event(), threading.Event()
+        self._painted_at = -np.inf
+        self._is_changed = True
+        self._connecting = threading.Lock()
+        self._closed = False
+        self.server.scene.configure_default_lights(cast_shadow=shadows)
+        self.scene = Scene(self.server)
+        self.scene.gizmos.on_pull(self._on_gizmo)
+        self._build()
+        session.listen(self._on_change)
+        conductor.on_picture = self.projects.on_change = self._paint_soon
+        conductor.on_surface = self._wake.set
+        conductor.on_problem = self._tell_everybody
+        conductor.on_failure = self._report_to_all
+        conductor.watch(False)
+        self.server.on_client_connect(guarded_client(self._on_connect))
+        self.server.on_client_disconnect(guarded_client(self._on_disconnect))
+        self._paint()
+        self._painter = threading.Thread(target=self._paint_on, daemon=True)
+        self._painter.start()
+        self._paint_soon()
+
+    @property
+    def port(self) -> int:
+        """The port it listens on."""
+        return self.server.get_port()
+
+    def viewport(self, client_id: int) -> Viewport | None:
+        """The view of one browser."""
+        return self._viewports.get(client_id)
+
+    def close(self) -> None:
+        """Stops serving; what browsers have sent by now still counts."""
+        hear_out(self.server)
+        self._closed = True
+        self._paint_soon()
+        self._painter.join(timeout=5.0)
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server.stop()
+
+    def _build(self) -> None:
+        gui = self.server.gui
+        gui.set_panel_label("photoreg")
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(324)
+        self._bus = bus = Bus(gui, self._limits)
+        bus.on("stop", lambda *_: self.conductor.stop_job())
+        self._status = gui.add_html("")
+        self._meter = gui.add_html("")
+        self._travel = Tools(gui, bus, "", (), self._on_travel)
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("1 Data"):
+            project = ProjectPanel(gui, self.conductor)
+            data = DataPanel(gui, self.conductor, bus)
+        with tabs.add_tab("2 Align") as self._align_tab:
+            align = AlignPanel(gui, self.conductor, bus)
+        with tabs.add_tab("3 Refine"):
+            refine = RefinePanel(gui, self.conductor)
+        with tabs.add_tab("4 Export"):
+            export = ExportPanel(gui, self.conductor, bus)
+        left = gui.add_panel()
+        with left.add_tab("Overlay", viser.Icon.LAYERS_INTERSECT):
+            overlay = OverlayPanel(gui, self.conductor, bus)
+        with left.add_tab("Points", viser.Icon.TARGET_ARROW):
+            points = PointsPanel(gui, self.conductor, bus)
+        left.dock_left()
+        left.set_width(350)
+        self._panels = (project, data, align, refine, export, overlay, points)
+        self._run_panels = (refine, overlay)
+
+        @guarded
+        def clicked(event: viser.SceneClickEvent) -> None:
+            points.on_surface_click(
+                event.client,
+                self.scene.frame,
+                np.array(event.ray_origin),
+                np.array(event.ray_direction),
+            )
+
+        points.on_picking = self._on_picking
+        self.scene.markers.on_pull = lambda pull: points.on_marker_pull(
+            self.scene.frame, pull
+        )
+        # viser's types know of no asynchronous listener; viser itself does.
+        self.server.scene.on_click()(cast(Any, clicked))
+
+        gui.add_html(button_hints(gui))
+        self._view_order = align.view_order
+        self._command("Undo", "cmd/ctrl", self.session.undo)
+        self._command("Redo", "cmd/ctrl+shift", self.session.redo)
+        # viser's list of keys leaves out punctuation; the page takes any.
+        question: Any = "?"
+        # On some keyboards it needs Shift, on others none.
+        keys = gui.add_command("Keys and mouse", hotkey=question, modifier="shift")
+        plain = gui.add_command("Help", hotkey=question)
+        whole = gui.add_command("The whole photo (Inspect)", hotkey="0")
+
+        @keys.on_trigger
+        @plain.on_trigger
+        @guarded
+        def _(event: viser.CommandEvent) -> None:
+            if event.client is not None:
+                self._help.toggle(event.client)
+
+        @whole.on_trigger
+        @guarded
+        def _(event: viser.CommandEvent) -> None:
+            viewport = self._viewports.get(event.client_id or 0)
+            if viewport is not None:
+                viewport.fit()
+
+    def _on_picking(self, browser: int, on: bool) -> None:
+        viewport = self._viewports.get(browser)
+        if viewport is not None:
+            viewport.pick(on)
+
+    def _on_travel(self, client: viser.ClientHandle, value: str) -> None:
+        if value == "help":
+            self._help.toggle(client)
+        elif value == "undo":
+            self.session.undo()
+        else:
+            self.session.redo()
+
+    def _command(
+        self, label: str, modifier: Any, action: Callable[[], str | None]
+    ) -> None:
+        command = self.server.gui.add_command(label, hotkey="Z", modifier=modifier)
+
+        @command.on_trigger
+        @guarded
+        def _(event: viser.CommandEvent) -> None:
+            name = action()
+            if event.client is not None and name is None:
+                notify(
+                    event.client, label, f"There is nothing to {label.lower()}.", False
+                )
+
+    # Painting.
+
+    def _paint_on(self) -> None:
+        while True:
+            blinks = self.session.state.overlay_style == "blink"
+            late = SCENE_PERIOD_S if self._is_scene_late else None
+            self._wake.wait(BLINK_PERIOD_S if blinks else late)
+            self._urgent.wait(self._painted_at + PASSING_PERIOD_S - time.monotonic())
+            self._urgent.clear()
+            self._wake.clear()
+            if self._closed:
+                return
+            if blinks and time.monotonic() - self._blinked_at > BLINK_PERIOD_S:
+                self._blinked_at = time.monotonic()
+                self.conductor.blink()
+            try:
+                self._paint()
+            except Exception as error:  # noqa: BLE001 - the border of a thread: report.
+                self._report_to_all("Painting the page", error)
+            self._painted_at = time.monotonic()
+            threading.Event().wait(PAINT_PERIOD_S)
+
+    def _on_change(self, old: State, new: State) -> None:
+        if is_passing(old, new):
+            self._wake.set()
+        else:
+            self._is_changed = True
+            self._paint_soon()
+
+    def _paint_soon(self) -> None:
+        self._urgent.set()
+        self._wake.set()
+
+    def _paint(self) -> None:
+        is_changed, self._is_changed = self._is_changed, False
+        state = self.session.state
+        # What is shown as done is on disk; a write that takes long is said to go on.
+        is_kept = self.projects.wait()
+        if not is_kept:
+            self._paint_soon()
+        now, is_running = time.monotonic(), state.run.is_active
+        self._is_scene_late = is_running and now - self._scene_at < SCENE_PERIOD_S
+        # The others show numbers of the cameras that nobody reads while they fly by.
+        is_brief = self._is_scene_late and not is_changed
+        with self.server.atomic():
+            if state.dark != self._dark:
+                self._dark = state.dark
+                self._theme(state.dark)
+                self.server.scene.set_background_image(backdrop(state.dark))
+            put(self._status, "content", status_line(state, is_kept))
+            put(self._meter, "content", meter_html(state))
+            self._travel.show(travel_tools(state))
+            for panel in self._run_panels if is_brief else self._panels:
+                panel.show(state)
+            if not self._is_scene_late:
+                self._scene_at = now
+                self._show_scene(state)
+        for number, viewport in list(self._viewports.items()):
+            panel = self._view_panels.get(number)
+            try:
+                viewport.show(state)
+                if panel is not None:
+                    panel.show(state)
+            except RuntimeError as error:
+                if not has_left(viewport.client, error):
+                    raise
+
+    def _show_scene(self, state: State) -> None:
+        """Shows the 3-D view, all of it at once."""
+        conductor = self.conductor
+        drawn = conductor.drawn
+        self.scene.show(state, None if drawn is None else drawn.lines)
+        self.scene.show_cloud(conductor.cloud if state.run.is_active else None)
+        self.scene.show_surface(conductor.surface_glb)
+
+    def _theme(self, dark: bool) -> None:
+        self.server.gui.configure_theme(
+            dark_mode=dark,
+            brand_color=BRAND,
+            show_logo=False,
+            show_share_button=False,
+        )
+
+    # What browsers do.
+
+    def _on_connect(self, client: viser.ClientHandle) -> None:
+        viewport = Viewport(
+            client, self.conductor, self.scene, self._hands, self._paint_soon
+        )
+        # A tab can be filled by one thread at a time; several may connect at once.
+        with self._connecting, self._align_tab:
+            panel = ViewPanel(viewport, self.conductor, self._bus, self._view_order)
+        self._viewports[client.client_id] = viewport
+        self._view_panels[client.client_id] = panel
+        self.conductor.watch(True)
+        self.projects.wait()
+        viewport.show(self.session.state)
+        panel.show(self.session.state)
+
+    def _on_disconnect(self, client: viser.ClientHandle) -> None:
+        self._viewports.pop(client.client_id, None)
+        self.conductor.watch(bool(self._viewports))
+        panel = self._view_panels.pop(client.client_id, None)
+        if panel is not None:
+            panel.forget()
+        self._hands.drop(client.client_id)
+        self.conductor.intake.left(client.client_id)
+        self._help.forget(client)
+        self.scene.gizmos.let_go(client.client_id)
+        self._paint_soon()
+
+    def _on_refused(self, browser: int, name: str, sentence: str) -> None:
+        self._bus.arrived(name)
+        client = self.server.get_clients().get(browser)
+        try:
+            self.conductor.intake.refuse(browser, sentence)
+        except PhotoregError as error:
+            if client is not None:
+                notify(client, "That is not possible", str(error))
+
+    def _on_gizmo(
+        self, phase: str, browser: int, change: Callable[[Camera], Camera]
+    ) -> None:
+        if phase == "start":
+            self._drag += 1
+        state = self.session.state
+        entry, index = state.selected_photo, state.selected
+        try:
+            if (
+                entry is not None
+                and state.run.status == "idle"
+                and self._hands.take(browser, index, GIZMO_HOLD_S)
+            ):
+                word = "Move" if state.gizmo == "move" else "Orbit"
+                self.session.change(
+                    f"{word} camera {index + 1}",
+                    with_entry(index, camera=change(entry.camera)),
+                    ("gizmo", self._drag),
+                )
+        finally:
+            if phase == "end":
+                self._hands.drop(browser)
+                self._paint_soon()
+
+    def _report_to_all(self, what: str, error: Exception) -> None:
+        log_failure(what, error)
+        for client in self.server.get_clients().values():
+            report(client, what, error)
+
+    def _tell_everybody(self, sentence: str) -> None:
+        for client in self.server.get_clients().values():
+            notify(client, "That did not work", sentence)
+
+
+def is_passing(old: State, new: State) -> bool:
+    """Whether only a run that goes on has told something new."""
+    return (
+        new.run.is_active
+        and old.run.status == new.run.status
+        and all(
+            getattr(old, field.name) is getattr(new, field.name)
+            for field in dataclasses.fields(State)
+            if field.name not in PASSING
+        )
+    )
+
+
+def travel_tools(state: State) -> list[Tool]:
+    """Undo and redo by name, and the help."""
+    idle = state.run.status == "idle"
+    undo, redo = state.undo_name, state.redo_name
+    return [
+        Tool(
+            "undo",
+            "Undo" if undo is None else f"Undo: {undo}",
+            viser.Icon.ARROW_BACK_UP,
+            f" {undo or 'Undo'}",
+            undo is not None and idle,
+        ),
+        Tool(
+            "redo",
+            "Redo" if redo is None else f"Redo: {redo}",
+            viser.Icon.ARROW_FORWARD_UP,
+            "" if redo is None else f" {redo}",
+            redo is not None and idle,
+        ),
+        Tool("help", "Keys and mouse (?)", viser.Icon.KEYBOARD),
+    ]
+
+
+def status_line(state: State, is_kept: bool = True) -> str:
+    """What is going on, in one line that is always on screen; what may end it, too."""
+    run, job = state.run, state.job
+    tail = ""
+    if state.saving:
+        colour, text = "#e5484d", state.saving
+    elif not is_kept:
+        colour, text = "#e8a33d", "Keeping your work …"
+    elif job is not None:
+        colour, text = "#e8a33d", f"{job.title} …"
+        tail = _job_html(job)
+    elif run.is_active:
+        doing = "Paused" if run.status == "paused" else "Refining"
+        colour, text = "#e8a33d", f"{doing}: {run.step or 'starting'}"
+    elif run.status == "review":
+        colour, text = "#2dbeaf", "Refined. Accept or revert in tab 3."
+    elif state.document.mesh is None:
+        colour, text = "#98a2b3", "Open a mesh to begin."
+    elif state.worker:
+        colour, text = "#98a2b3", f"{state.worker} …"
+    else:
+        colour, text = "#2dbeaf", state.note or "Ready."
+    return (
+        '<div style="display:flex;flex-wrap:wrap;align-items:center;gap:8px;'
+        'margin:10px 12px 8px;font-size:13px;line-height:1.3"><span style="width:9px;'
+        f'height:9px;border-radius:50%;background:{colour};flex:none"></span>'
+        '<span style="flex:1;min-width:0;overflow-wrap:anywhere" role="status">'
+        f"{escaped(text)}</span>{tail}</div>"
+    )
+
+
+def _job_html(job: Job) -> str:
+    """How far a job is, and a button that ends it where that is possible."""
+    button = ""
+    if job.can_stop:
+        button = (
+            '<button title="Ends it; nothing will have changed" style="font:inherit;'
+            "font-size:12.5px;color:inherit;background:rgba(128,140,155,.25);border:0;"
+            'border-radius:5px;padding:3px 10px;cursor:pointer" '
+            f"{sending('stop')}>Cancel</button>"
+        )
+    return (
+        f'{button}<span role="progressbar" aria-valuenow="{100 * job.fraction:.0f}" '
+        'style="flex:0 0 100%;height:5px;border-radius:3px;overflow:hidden;'
+        'background:rgba(128,140,155,.25)"><span style="display:block;height:100%;'
+        f"width:{100 * job.fraction:.1f}%;background:#e8a33d;"
+        'transition:width .3s"></span></span>'
+    )

@@ -1,0 +1,1 @@
+"""The tabs and folds of the page, one module each."""

@@ -1,0 +1,289 @@
+"""Tab 1, Data: the mesh, the photos, the cameras' file."""
+
+import math
+
+import viser
+
+from app.control.controller import Conductor
+from app.model import photo_list
+from app.model.camera_moves import guessed_focal_px
+from app.model.markup import escaped, sending
+from app.model.point_pairs import index_of_photo
+from app.model.session import select, setting
+from app.model.state import PhotoEntry, State
+from app.web.bridge import Bus, Values, Whole
+from app.web.controls import guarded, guarded_slow, put, put_value
+from app.web.uploads import too_large
+from app.web.widgets import help_line
+from photoreg.formats.cameras.find import CAMERA_SUFFIXES
+from photoreg.imaging.photo_formats import formats_in_words
+from photoreg.limits import Limits
+
+
+class DataPanel:
+    """Controls of the Data tab."""
+
+    def __init__(self, gui: viser.GuiApi, conductor: Conductor, bus: Bus) -> None:
+        self._card_key: object = None
+        self._session = session = conductor.session
+        self._conductor = conductor
+        self._limits = bus.limits
+        gui.add_markdown("A scanned surface, and the photos to lay onto it.")
+        self._mesh_card = gui.add_html("")
+        self._photo_cards = gui.add_html("")
+        self._open = gui.add_html("")
+        with gui.add_folder("Demo and page", expand_by_default=False):
+            self._demo = gui.add_button("Open the demo", icon=viser.Icon.SPARKLES)
+            gui.add_html(
+                help_line("A shell and two photos of it, to try all this with.")
+            )
+            self._dark = gui.add_checkbox(
+                "Dark page", True, hint="Dark or light colours, in every window."
+            )
+
+        bus.on("select", lambda values, _: self._select(values["photo"]), photo=str)
+        bus.on("rename", self._on_rename, photo=str, name=str)
+        bus.on("enable", self._on_enable, photo=str, on=bool)
+        bus.on("shift", self._on_shift, photo=str, by=Whole)
+        bus.on("remove", self._on_remove, photo=str)
+        bus.on(
+            "batch",
+            lambda values, client: conductor.intake.expect(
+                client.client_id, values["files"]
+            ),
+            files=Whole,
+        )
+        bus.on("oversized", self._on_oversized, name=str, size=Whole)
+
+        @bus.upload.on_upload
+        @guarded
+        def _(event: viser.GuiEvent) -> None:
+            # On the loop, in the order of arrival: the next file takes its place.
+            file = event.target.value
+            bus.arrived(file.name)
+            conductor.intake.receive(event.client_id or 0, file.name, file.content)
+
+        @self._demo.on_click
+        @guarded_slow
+        def _(_: viser.GuiEvent) -> None:
+            conductor.open_demo()
+
+        @self._dark.on_update
+        @guarded
+        def _(_: viser.GuiEvent) -> None:
+            session.change(None, setting(dark=self._dark.value))
+
+    def _on_oversized(self, values: Values, client: viser.ClientHandle) -> None:
+        """The page holds a file back that is too large."""
+        sentence = too_large(values["name"], values["size"], self._limits)
+        self._conductor.intake.refuse(client.client_id, sentence)
+
+    # What is done in the cards.
+
+    def _select(self, name: str) -> None:
+        index = index_of_photo(self._session.state, name)
+        self._session.change(None, select(index))
+
+    def _on_rename(self, values: Values, _: viser.ClientHandle) -> None:
+        old, new = values["photo"], values["name"]
+        self._session.change(f"Rename {old}", photo_list.renamed(old, new))
+
+    def _on_enable(self, values: Values, _: viser.ClientHandle) -> None:
+        name, on = values["photo"], values["on"]
+        step = f"{'Use' if on else 'Leave out'} {name}"
+        self._session.change(step, photo_list.enabled(name, on))
+
+    def _on_shift(self, values: Values, _: viser.ClientHandle) -> None:
+        name, by = values["photo"], values["by"]
+        self._session.change(f"Move {name} in the list", photo_list.shifted(name, by))
+
+    def _on_remove(self, values: Values, _: viser.ClientHandle) -> None:
+        name = values["photo"]
+        self._session.change(f"Remove {name}", photo_list.removed(name))
+
+    # What is shown.
+
+    def show(self, state: State) -> None:
+        """Makes the controls as ``state`` has them."""
+        busy = state.run.status != "idle" or state.job is not None
+        put(self._open, "content", _opening_html(state, busy, self._limits))
+        put(self._demo, "disabled", busy)
+        put_value(self._dark, state.dark)
+        key = (
+            state.document.mesh,
+            state.selected,
+            busy,
+            tuple(
+                (e.photo, e.enabled, e.mask_png, len(e.pairs), focal_text(e))
+                for e in state.photos
+            ),
+        )
+        if _same(key, self._card_key):
+            return
+        self._card_key = key
+        put(self._mesh_card, "content", _mesh_card(state))
+        cards = "".join(
+            self._card(i, entry, state, busy) for i, entry in enumerate(state.photos)
+        )
+        put(self._photo_cards, "content", f'<div style="{_COLUMN}">{cards}</div>')
+
+    def _card(self, index: int, entry: PhotoEntry, state: State, busy: bool) -> str:
+        # By its address: the cards are sent anew with every step of a run.
+        picture = self._conductor.pictures.address(entry.photo, "thumbnail")
+        name = escaped(entry.name)
+        edge = "#2dbeaf" if index == state.selected else "transparent"
+        faded = "" if entry.enabled else "opacity:.5;"
+        facts = [f"{entry.photo.width} × {entry.photo.height} px"]
+        if entry.pairs:
+            facts.append(f"{len(entry.pairs)} points")
+        if entry.mask_png is not None:
+            facts.append("mask")
+        last = index == len(state.photos) - 1
+        buttons = (
+            _button("▲", f"Move {name} up", busy or index == 0, "shift", entry, by=-1)
+            + _button("▼", f"Move {name} down", busy or last, "shift", entry, by=1)
+            + _button(
+                "In use" if entry.enabled else "Not in use",
+                f"{'Leave out' if entry.enabled else 'Use'} {name}",
+                busy,
+                "enable",
+                entry,
+                on=not entry.enabled,
+            )
+            + f'<button title="Rename {name}" aria-label="Rename {name}" '
+            f'style="{_SMALL}{_DIM if busy else ""}" {"disabled" if busy else ""} '
+            "data-rename>✎</button>"
+            + _button("✕", f"Remove {name}", busy, "remove", entry)
+        )
+        return (
+            f'<div role="button" aria-label="Photo {name}" data-photo="{name}" '
+            f'aria-pressed="{str(index == state.selected).lower()}" '
+            f'style="{_CARD}cursor:pointer;border-left:3px solid {edge}" '
+            f"{sending('select', photo=entry.name)}>"
+            f'<img src="{picture}" alt="" style="width:64px;height:56px;'
+            f'object-fit:cover;border-radius:4px;{faded}">'
+            f'<div style="min-width:0;flex:1"><div style="{_NAME};{faded}" '
+            f'class="pr-name" title="{name}">{index + 1}. {escaped(entry.name)}'
+            f'</div><div style="{_FACTS};line-height:1.35">{" · ".join(facts)}<br>'
+            f"{escaped(focal_text(entry))}</div>"
+            f'<div style="display:flex;gap:3px;margin-top:4px">{buttons}</div>'
+            "</div></div>"
+        )
+
+
+def focal_text(entry: PhotoEntry) -> str:
+    """The focal length and, while it is as it was loaded, where it came from."""
+    focal_px, photo = entry.camera.focal_px, entry.photo
+    text = f"f {focal_px:.0f} px"
+    if photo.exif_focal_px is not None:
+        at_start, where = photo.exif_focal_px, photo.exif_focal_note or "by EXIF"
+    else:
+        at_start, where = guessed_focal_px(photo), "a guess: no EXIF"
+    return f"{text}, {where}" if math.isclose(focal_px, at_start) else text
+
+
+def _button(
+    text: str, title: str, disabled: bool, act: str, entry: PhotoEntry, **values: object
+) -> str:
+    return (
+        f'<button title="{title}" aria-label="{title}" style="{_SMALL}'
+        f'{_DIM if disabled else ""}" '
+        f"{'disabled' if disabled else ''} "
+        f"{sending(act, photo=entry.name, **values)}>{text}</button>"
+    )
+
+
+_SMALL = (
+    "font:inherit;font-size:11px;color:inherit;background:rgba(128,140,155,.2);"
+    "border:0;border-radius:4px;padding:1px 6px;cursor:pointer;line-height:1.5"
+)
+_DIM = ";opacity:.35;cursor:default"
+_COLUMN = "display:flex;flex-direction:column;gap:6px;margin:2px 12px 4px"
+_CARD = (
+    "display:flex;gap:10px;align-items:center;padding:6px 8px;border-radius:6px;"
+    "background:rgba(128,140,155,.14);"
+)
+_NAME = (
+    "font-size:13px;font-weight:600;white-space:nowrap;overflow:hidden;"
+    "text-overflow:ellipsis"
+)
+_FACTS = "font-size:12px;opacity:.7"
+
+
+def _opening_html(state: State, busy: bool, limits: Limits) -> str:
+    """The button that opens files; while one is read, which."""
+    job = state.job
+    text = "Open files …" if job is None else f"{escaped(job.title)} …"
+    no_photos = busy or not state.document.photos
+    return (
+        '<div style="margin:4px 12px 10px">'
+        + _big_button(
+            text,
+            "A mesh, photos, or both, from this computer",
+            "background:#26a69a;color:#04211e",
+            busy,
+        )
+        + f'<div style="{_FINE_PRINT};margin-bottom:9px">'
+        "Or drop them anywhere on this page, several at once. Mesh: OBJ, PLY, STL, GLB, "
+        f"OFF. Photos: {formats_in_words()}. Up to {limits.file_mb:,.0f} MB each. A new "
+        "photo gets a first camera in front of the object; place it in the next tab.</div>"
+        + _big_button(
+            "Load cameras …",
+            "Puts the cameras where another program's file says",
+            "background:rgba(128,140,155,.25);color:inherit",
+            no_photos,
+            ",".join(CAMERA_SUFFIXES) + ",.zip",
+        )
+        + f'<div style="{_FINE_PRINT}">'
+        "To go on from another program: COLMAP (cameras and images together, or a zip), "
+        "MeshLab .mlp, nerfstudio, texrecon, OpenCV, Bundler, or photoreg’s own "
+        "cameras.json. Matched to the photos by file name.</div></div>"
+    )
+
+
+_FINE_PRINT = "font-size:12.5px;opacity:.75;margin-top:7px;line-height:1.45"
+
+
+def _big_button(
+    text: str, title: str, colours: str, disabled: bool, accept: str = ""
+) -> str:
+    dim = "opacity:.5;cursor:default" if disabled else "cursor:pointer"
+    return (
+        f'<button title="{title}" {"disabled" if disabled else ""} '
+        'style="font:inherit;font-size:14px;'
+        f"font-weight:600;border:0;border-radius:5px;padding:9px;width:100%;{colours};"
+        f'{dim}" data-choose="{accept}">{text}</button>'
+    )
+
+
+def _mesh_card(state: State) -> str:
+    mesh = state.document.mesh
+    if mesh is None:
+        name, facts = "No mesh yet", "Open one to begin."
+    else:
+        size = mesh.bounds[1] - mesh.bounds[0]
+        name = escaped(mesh.name)
+        facts = f"{len(mesh.faces):,} triangles · " + " × ".join(
+            f"{side:.3g}" for side in size
+        )
+    return (
+        f'<div style="{_COLUMN}"><div style="{_CARD}"><div style="min-width:0">'
+        f'<div style="{_NAME}">{name}</div>'
+        f'<div style="{_FACTS}">{facts}</div></div></div></div>'
+    )
+
+
+def _same(a: object, b: object) -> bool:
+    return b is not None and a == b
+
+
+def photo_options(state: State) -> tuple[str, ...]:
+    """The photos as a dropdown names them."""
+    names = tuple(f"{i + 1}. {e.name}" for i, e in enumerate(state.document.photos))
+    return names or ("none",)
+
+
+def index_of(state: State, option: str) -> int:
+    """The index of a photo that a dropdown names."""
+    options = photo_options(state)
+    return options.index(option) if option in options else 0

@@ -1,0 +1,1 @@
+"""The state written into viser's 3-D scene."""

@@ -1,0 +1,1 @@
+"""Files of cameras; `registry` knows them all."""

@@ -1,0 +1,1 @@
+"""Textured models; `registry` knows them all."""

@@ -1,0 +1,1 @@
+"""Where things are and what sees what: cameras, meshes, rays, rasters."""

@@ -1,0 +1,1 @@
+"""What a pixel says: photos, colour spaces, exposure."""

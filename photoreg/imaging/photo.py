@@ -1,0 +1,125 @@
+"""A photograph: pixels as displayed, optional mask, and what EXIF knows of the lens."""
+
+import dataclasses
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, UInt8
+
+from photoreg.checks import check_input_file
+from photoreg.errors import InputError
+from photoreg.imaging.photo_decoding import decode
+from photoreg.limits import Limits
+from photoreg.names import presentable
+from photoreg.sources import SourceFile, source_file
+from photoreg.words import nfc
+
+MIN_SIDE_PX = 16
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Photo:
+    """A photograph as displayed: EXIF orientation is already applied.
+
+    Raises:
+        InputError: at construction, if the pixels are not (h, w, 3) bytes, the
+            photo is smaller than 16 px on a side, or the mask has another size.
+    """
+
+    name: str
+    """File name, in Unicode's composed form; cameras are matched to photos by it."""
+    pixels: UInt8[np.ndarray, "h w 3"]
+    """sRGB, row 0 at the top."""
+    mask: Bool[np.ndarray, "h w"] | None = None
+    """True where the photo counts; None: everywhere."""
+    exif_focal_px: float | None = None
+    """Focal length in pixels by EXIF, a starting value; None if EXIF does not tell."""
+    source: SourceFile | None = None
+    """The file it was read from; None if it was made in memory."""
+    exif_focal_note: str = ""
+    """Where EXIF has the focal length from and how sure that is, for people."""
+    is_cropped: bool = False
+    """Whether EXIF shows that a part was cut off: the principal point may lie anywhere."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "name", nfc(self.name))
+        pixels = self.pixels
+        if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.dtype != np.uint8:
+            raise InputError(
+                f"{self.name}: pixels should be (height, width, 3) bytes, but are "
+                f"{pixels.shape} {pixels.dtype}."
+            )
+        if min(pixels.shape[:2]) < MIN_SIDE_PX:
+            raise InputError(
+                f"{self.name} is {self.width}x{self.height} px; a photo should be at "
+                f"least {MIN_SIDE_PX} px on each side."
+            )
+        if self.mask is not None and self.mask.shape != pixels.shape[:2]:
+            raise InputError(
+                f"{self.name}: the mask is {self.mask.shape[1]}x{self.mask.shape[0]} px, "
+                f"but the photo is {self.width}x{self.height} px."
+            )
+
+    @property
+    def width(self) -> int:
+        """Width in pixels, as displayed."""
+        return self.pixels.shape[1]
+
+    @property
+    def height(self) -> int:
+        """Height in pixels, as displayed."""
+        return self.pixels.shape[0]
+
+    def resized(self, max_side_px: int) -> "Photo":
+        """The photo reduced (area-averaged) so that no side exceeds ``max_side_px``."""
+        scale = max_side_px / max(self.width, self.height)
+        if scale >= 1.0:
+            return self
+        size = (max(1, round(self.width * scale)), max(1, round(self.height * scale)))
+        mask = self.mask
+        if mask is not None:
+            mask = (
+                cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+                > 0
+            )
+        return dataclasses.replace(
+            self,
+            pixels=cv2.resize(self.pixels, size, interpolation=cv2.INTER_AREA),
+            mask=mask,
+            exif_focal_px=None
+            if self.exif_focal_px is None
+            else self.exif_focal_px * size[0] / self.width,
+            source=None,
+        )
+
+
+def load_photo(path: Path | str, limits: Limits | None = None) -> Photo:
+    """Loads a photo of any format of `photo_formats`, as displayed and in sRGB.
+
+    EXIF orientation and colour profiles are applied; alpha becomes the mask. Of a file
+    with a preview, it is the photo. RAW is developed as `photo_decoding` says.
+
+    Args:
+        path: The file.
+        limits: How large it may be; None: as the environment says.
+
+    Raises:
+        InputError: if the file is missing, empty, not a photo, truncated, too small
+            (under 16 px a side) or too large (by default over 120 megapixels); if it is
+            an animation, of several pages, a panorama or a fisheye, or coded for HDR
+            displays or in colours that are not known.
+    """
+    limits = limits or Limits.of_environment()
+    path = check_input_file(Path(path), "photo", limits.file_mb)
+    decoded = decode(path, limits)
+    focal = decoded.facts.focal
+    return Photo(
+        presentable(path.name),
+        decoded.pixels,
+        decoded.mask,
+        None if focal is None else focal.px,
+        source_file(path),
+        "" if focal is None else focal.note,
+        decoded.facts.is_cropped,
+    )

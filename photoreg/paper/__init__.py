@@ -1,0 +1,1 @@
+"""The paper's experiment again, from scene to report."""

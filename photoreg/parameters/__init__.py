@@ -1,0 +1,1 @@
+"""What may move in a refinement, and in which numbers."""

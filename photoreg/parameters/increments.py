@@ -1,0 +1,253 @@
+"""Nine numbers that move a camera, chosen so that they do not fight each other.
+
+Turning a camera about its own centre and shifting it look alike in the photo. Here
+the object turns about a pivot (the middle of what the photo sees of it) in camera
+axes, the pivot shifts in camera axes, and the focal length changes by a factor. All
+are in units of the prior: 1 is one interval of the pre-registration, so the numbers
+have no units and the prior's normal matrix is the identity.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from photoreg.geometry.camera import MAX_FOCAL_PX, Camera
+from photoreg.parameters.freedom import NOTHING_HELD, Freedom, Held
+
+N_INCREMENTS = 9
+NAMES = (
+    "rotation about the photo's x axis",
+    "rotation about the photo's y axis",
+    "rotation in the photo's plane",
+    "sideways position",
+    "vertical position",
+    "distance",
+    "focal length",
+    "principal point x",
+    "principal point y",
+)
+"""What each increment moves, in plain words, in order."""
+
+MAX_TURN_RAD = 0.5 * np.pi
+MAX_SHIFT_SHARE = 0.75
+MAX_FOCAL_FACTOR = 4.0
+MAX_PRINCIPAL_SHARE = 0.5
+"""How far the numbers may take a camera from its base: the turn about each axis, the
+shift along each as a share of the distance, the focal length up or down, the principal
+point as a share of the photo's size. It can still be a camera of the same photo there;
+beyond, the object is behind it, or numbers overflow."""
+
+N_GEOMETRY = 36
+"""Length of the vector in which a camera goes to the kernels; see ``geometry``."""
+
+
+@dataclasses.dataclass(frozen=True)
+class PriorScales:
+    """One standard deviation of the prior around the pre-registration.
+
+    The defaults are the paper's gene intervals (section 4): one sigma each.
+    """
+
+    rotation_rad: float = float(np.deg2rad(1.0))
+    """Rotation about each camera axis, in radians."""
+    translation_share: float = 0.03
+    """Shift along each camera axis, as a share of the camera's distance."""
+    focal_share: float = 0.02
+    """Focal length, as a share of itself."""
+    principal_share: float = 0.005
+    """Principal point, as a share of the photo's width and height."""
+
+    def scaled(self, factor: float) -> "PriorScales":
+        """The same intervals times ``factor``."""
+        return PriorScales(
+            *(factor * getattr(self, f.name) for f in dataclasses.fields(self))
+        )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Increments:
+    """The map from nine numbers to a camera, around one base camera."""
+
+    base: Camera
+    """The camera at zero: the pre-registration."""
+    pivot: Float[np.ndarray, "3"]
+    """World point that the rotation leaves where it is."""
+    scales: PriorScales
+    held: Held = NOTHING_HELD
+    """What stays as the base has it, to the last bit: its numbers move nothing, and so
+    are always 0."""
+
+    @property
+    def distance(self) -> float:
+        """Distance from the base camera's centre to the pivot, in model units."""
+        return float(np.linalg.norm(self.base.center - self.pivot))
+
+    @property
+    def units(self) -> Float[np.ndarray, "9"]:
+        """Size of one unit of each number: rad, rad, rad, 3 x model units, log, px, px.
+
+        0 where nothing may move.
+        """
+        s = self.scales
+        units = np.array(
+            [s.rotation_rad] * 3
+            + [s.translation_share * self.distance] * 3
+            + [s.focal_share]
+            + [
+                s.principal_share * self.base.width,
+                s.principal_share * self.base.height,
+            ]
+        )
+        return np.where(self.is_free, units, 0.0)
+
+    @property
+    def limits(self) -> Float[np.ndarray, "9"]:
+        """Largest size of each number: within, every vector is a camera."""
+        base, units = self.base, self.units
+        # No base comes near to it but one that is absurd already.
+        focal = min(
+            MAX_FOCAL_FACTOR, MAX_FOCAL_PX / float(np.abs(base.K[:2, :2]).max())
+        )
+        most = np.array(
+            [MAX_TURN_RAD] * 3
+            + [MAX_SHIFT_SHARE * self.distance] * 3
+            + [np.log(focal)]
+            + [MAX_PRINCIPAL_SHARE * base.width, MAX_PRINCIPAL_SHARE * base.height]
+        )
+        return np.divide(most, units, out=np.full(9, np.inf), where=units > 0.0)
+
+    @property
+    def is_free(self) -> Bool[np.ndarray, "9"]:
+        """Which numbers may move something."""
+        held = self.held
+        return ~np.array(
+            [held.pose] * 6 + [held.focal] + [held.principal_point] * 2, dtype=bool
+        )
+
+    def camera(self, x: Float[np.ndarray, "9"]) -> Camera:
+        """The camera at ``x``."""
+        step = np.asarray(x) * self.units
+        base = self.base
+        R = rotation(step[:3]) @ base.R_cam_world
+        pivot_cam = base.R_cam_world @ self.pivot + base.t_cam_world + step[3:6]
+        K = base.K.copy()
+        K[:2, :2] *= np.exp(step[6])
+        K[:2, 2] += step[7:9]
+        if self.held.pose:
+            return dataclasses.replace(base, K=K)
+        return Camera(K, R, pivot_cam - R @ self.pivot, base.width, base.height)
+
+    def of_camera(self, camera: Camera) -> Float[np.ndarray, "9"]:
+        """The numbers of a camera of the same photo.
+
+        Ratio of focal lengths and skew stay the base's; other cameras are met as
+        well as nine numbers can.
+        """
+        base = self.base
+        turn = rotation_vector(camera.R_cam_world @ base.R_cam_world.T)
+        shift = (
+            camera.R_cam_world @ self.pivot
+            + camera.t_cam_world
+            - base.R_cam_world @ self.pivot
+            - base.t_cam_world
+        )
+        log_focal = np.log(camera.focal_px / base.focal_px)
+        step = np.concatenate(
+            [turn, shift, [log_focal], camera.K[:2, 2] - base.K[:2, 2]]
+        )
+        free = self.is_free
+        return np.where(free, step, 0.0) / np.where(free, self.units, 1.0)
+
+    def geometry(
+        self, x: Float[np.ndarray, "9"], width: int, height: int
+    ) -> Float[np.ndarray, "36"]:
+        """The camera at ``x``, for a photo resampled to width x height, for kernels.
+
+        Layout: R (9, row by row), pivot in camera axes (3), fx, skew, fy, cx, cy (5),
+        derivative of the rotation vector's action (9, row by row, in units of x),
+        unit of translation, unit of log focal, units of the principal point (2), pivot
+        in world axes (3), zeros.
+        """
+        camera = self.camera(x).resized(width, height)
+        K, units = camera.K, self.units
+        vector = np.zeros(N_GEOMETRY)
+        vector[0:9] = camera.R_cam_world.ravel()
+        vector[9:12] = camera.R_cam_world @ self.pivot + camera.t_cam_world
+        vector[12:17] = K[0, 0], K[0, 1], K[1, 1], K[0, 2], K[1, 2]
+        vector[17:26] = (
+            left_jacobian(np.asarray(x)[:3] * units[:3]) * units[0]
+        ).ravel()
+        vector[26:28] = units[3], units[6]
+        vector[28] = units[7] * width / self.base.width
+        vector[29] = units[8] * height / self.base.height
+        vector[30:33] = self.pivot
+        return vector
+
+
+def free_directions(
+    increments: Sequence[Increments], freedom: Freedom
+) -> Float[np.ndarray, "p q"]:
+    """One column a number that moves by itself: 1 at each of its rows, else 0.
+
+    The rows are the nine numbers of each camera. What is held has no column; a shared
+    focal length has one, with a 1 for each camera that shares it.
+    """
+    free = np.concatenate([one.is_free for one in increments])
+    columns = []
+    for row in np.flatnonzero(free):
+        camera, which = divmod(int(row), N_INCREMENTS)
+        column = np.zeros(len(free))
+        if NAMES[which] != "focal length":
+            column[row] = 1.0
+        elif freedom.leads(camera):
+            group = np.array(freedom.group(camera))
+            column[group * N_INCREMENTS + which] = 1.0
+        else:
+            continue
+        columns.append(column)
+    return np.column_stack(columns)
+
+
+def rotation(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """The rotation matrix of a rotation vector (Rodrigues)."""
+    angle = float(np.linalg.norm(vector))
+    V = _cross(vector)
+    if angle < 1e-8:
+        return np.eye(3) + V
+    return (
+        np.eye(3)
+        + np.sin(angle) / angle * V
+        + (1.0 - np.cos(angle)) / angle**2 * (V @ V)
+    )
+
+
+def rotation_vector(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
+    """The rotation vector of a rotation matrix of less than half a turn."""
+    axis = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    sine, cosine = float(np.linalg.norm(axis)), 0.5 * (float(np.trace(R)) - 1.0)
+    if sine < 1e-12:
+        return axis
+    return axis * (np.arctan2(sine, cosine) / sine)
+
+
+def left_jacobian(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """J with exp(v + dv) = exp(J dv) exp(v), to first order in dv.
+
+    References:
+        T. Barfoot, "State Estimation for Robotics", equation 7.77.
+    """
+    angle = float(np.linalg.norm(vector))
+    V = _cross(vector)
+    if angle < 1e-6:
+        return np.eye(3) + 0.5 * V
+    return (
+        np.eye(3)
+        + (1.0 - np.cos(angle)) / angle**2 * V
+        + (angle - np.sin(angle)) / angle**3 * (V @ V)
+    )
+
+
+def _cross(v: np.ndarray) -> np.ndarray:
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])

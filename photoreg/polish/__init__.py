@@ -1,0 +1,1 @@
+"""From near to exact: the terms of the least-squares problem and its solver."""

@@ -1,0 +1,260 @@
+"""How well cameras fit photos and mesh, measured alike at any pose.
+
+The polish's own cost holds points, edges and noise that were measured at one pose, so
+it cannot compare two. Here everything is measured afresh at the pose that is judged.
+"""
+
+import concurrent.futures
+import dataclasses
+import itertools
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from photoreg.geometry.camera import Camera
+from photoreg.geometry.mesh import Mesh
+from photoreg.imaging.photo import Photo
+from photoreg.polish.grid_cells import within_cells
+from photoreg.polish.kernels import colours_at
+from photoreg.polish.lighting import fit_light
+from photoreg.polish.photometric_term import (
+    EDGE_MARGIN_PX,
+    PairPoints,
+    SurfaceView,
+    exposure_gain,
+    pair_points,
+    prepare_photo,
+    surface_views,
+)
+from photoreg.polish.silhouette_term import Rim, find_edges, find_rim
+
+SIDE_PX = 1024
+"""Photos are reduced to this many pixels on the longer side at most."""
+BLUR_PX = 1.0
+CELL_PX = 48.0
+N_POINTS = 6_000
+"""Surface points over all pairs of photos; a pair has ``MIN_POINTS`` or more."""
+MIN_POINTS = 1_000
+MIN_CELL_POINTS = 8
+"""Fewer points than this say too little of their cell."""
+RIM_POINTS = 400
+MIN_RIM_POINTS = 20
+"""Fewer points than this are no outline."""
+RIM_REACH_PX = 8.0
+"""A rim point without an edge this near counts as this far off."""
+N_DISPLACED = 19
+"""Places at random that an outline is compared with: one that lies there by chance
+itself fits better than all of them once in 20 times."""
+MIN_DISPLACEMENT_PX = 4.0 * RIM_REACH_PX
+"""Nearer to where it is, an outline would still find its own edges."""
+ROUNDING = 1.0 / 12.0 / (4.0 * np.pi * BLUR_PX**2)
+"""Variance of the rounding of bytes after the blur: colours whose contrast is no more
+than that cannot be seen to agree."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Disagreement:
+    """How badly cameras fit, colours and outlines apart: 0 is perfect, 1 chance."""
+
+    colours: dict[tuple[int, int], float]
+    """Of each pair of photos: the mean squared difference over the surface points that
+    both see, after gain and the slow changes of light, cut off at and relative to what
+    unrelated colours of the same contrast would give; 1 where nothing is shared."""
+    typical_colours: dict[tuple[int, int], float]
+    """The same of each pair's median cell: what covers less than half of the surface in
+    one photo is not in it."""
+    outlines: tuple[float, ...]
+    """Of each photo: the mean squared distance of the rim to the nearest clear edge,
+    cut off at and relative to ``RIM_REACH_PX``; 1 where there is no rim."""
+    typical_errors: dict[tuple[int, int], float] = dataclasses.field(
+        default_factory=dict
+    )
+    """Standard errors of the typical colours, as their cells differ."""
+
+    @property
+    def total(self) -> float:
+        """One number to compare by: geometric mean of colours' and outlines' means.
+
+        The noise of neither is known, and then the likelihood of cameras falls with
+        the logarithms of both. Their sum would not: an outline that is rough everywhere
+        hides colours that halve, and half a pixel with them.
+        """
+        colour = float(np.mean(list(self.colours.values()))) if self.colours else 1.0
+        return float(np.sqrt(colour * np.mean(self.outlines)))
+
+    def typical_colour_of(self, photo: int) -> float:
+        """Typical colours of the pair of ``photo`` that agrees best; 1: no pair."""
+        return min(
+            (share for pair, share in self.typical_colours.items() if photo in pair),
+            default=1.0,
+        )
+
+
+def disagreement(
+    mesh: Mesh, photos: Sequence[Photo], cameras: Sequence[Camera], min_cosine: float
+) -> Disagreement:
+    """Colours that differ on the surface, and rims off the photos' edges."""
+    small = [_reduced(camera) for camera in cameras]
+    views = surface_views(mesh, small)
+    pairs = [(i, k) for k in range(len(photos)) for i in range(k)]
+
+    def shared_points(pair: tuple[int, int]) -> PairPoints:
+        i, k = pair
+        return pair_points(
+            mesh,
+            (photos[i], photos[k]),
+            (views[i], views[k]),
+            max(MIN_POINTS, N_POINTS // len(pairs)),
+            CELL_PX,
+            EDGE_MARGIN_PX,
+            min_cosine,
+            seed=0,
+        )
+
+    with concurrent.futures.ThreadPoolExecutor() as threads:
+        surfaces = threads.map(shared_points, pairs)
+        images = threads.map(prepare_photo, photos, views, itertools.repeat(BLUR_PX))
+        outlines = threads.map(_outline_share, itertools.repeat(mesh), photos, views)
+        surfaces, images, outlines = list(surfaces), list(images), tuple(outlines)
+    colours, typical_colours, errors = {}, {}, {}
+    for (i, k), surface in zip(pairs, surfaces, strict=True):
+        if len(surface.points) < 100:
+            colours[i, k], typical_colours[i, k], errors[i, k] = 1.0, 1.0, 0.0
+            continue
+        values = np.stack(
+            [colours_at(images[m], small[m].project(surface.points)) for m in (i, k)],
+            axis=1,
+        )
+        colours[i, k], typical_colours[i, k], errors[i, k] = _colour_shares(
+            values, surface
+        )
+    return Disagreement(colours, typical_colours, outlines, errors)
+
+
+def _outline_share(mesh: Mesh, photo: Photo, view: SurfaceView) -> float:
+    share = _share_off_edges(photo, view, find_rim(mesh, view, RIM_POINTS))
+    return 1.0 if share is None else share
+
+
+def _share_off_edges(photo: Photo, view: SurfaceView, rim: Rim) -> float | None:
+    """Mean squared distance of a rim to the edges, relative to the reach.
+
+    None where hardly any of the rim is in the photo and in its mask.
+    """
+    if len(rim.pixels) < MIN_RIM_POINTS:
+        return None
+    edges = find_edges(photo, view, rim, RIM_REACH_PX)
+    if edges.counts.sum() < MIN_RIM_POINTS:
+        return None
+    offset = np.abs(edges.offset_px[edges.counts])
+    offset = np.minimum(np.nan_to_num(offset, nan=RIM_REACH_PX), RIM_REACH_PX)
+    return float(np.mean((offset / RIM_REACH_PX) ** 2))
+
+
+def against_chance(
+    fit: Disagreement, mesh: Mesh, photos: Sequence[Photo], cameras: Sequence[Camera]
+) -> Disagreement:
+    """``fit`` with its outlines relative to what chance gives in these photos.
+
+    Edges are found near any line in a photo that is full of them. So each outline is
+    laid ``N_DISPLACED`` times at random elsewhere in its photo, turned at random, and is
+    measured there in the same way. It is relative to their mean, and 1 unless it fits
+    better than all of them.
+
+    Args:
+        fit: ``disagreement`` of these cameras.
+        mesh: The surface.
+        photos: The photos.
+        cameras: Their cameras.
+    """
+    views = surface_views(mesh, [_reduced(camera) for camera in cameras])
+    with concurrent.futures.ThreadPoolExecutor() as threads:
+        elsewhere = threads.map(
+            _shares_elsewhere, itertools.repeat(mesh), photos, views
+        )
+        outlines = tuple(
+            share / float(np.mean(others)) if share < min(others, default=0.0) else 1.0
+            for share, others in zip(fit.outlines, elsewhere, strict=True)
+        )
+    return dataclasses.replace(fit, outlines=outlines)
+
+
+def _shares_elsewhere(mesh: Mesh, photo: Photo, view: SurfaceView) -> list[float]:
+    """Of the rim at random places of the photo, what ``_share_off_edges`` gives there."""
+    rim = find_rim(mesh, view, RIM_POINTS)
+    rng = np.random.default_rng(0)
+    width, height = view.camera.width, view.camera.height
+    middle = rim.pixels.mean(axis=0) if len(rim.pixels) else np.zeros(2)
+    margin = RIM_REACH_PX + 2.0
+    shares: list[float] = []
+    # Places where most of a large outline lies outside the photo say little; most
+    # others do.
+    for _ in range(20 * N_DISPLACED):
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        turn = np.array(
+            [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        )
+        place = rng.uniform(0.0, [width, height])
+        pixels = (rim.pixels - middle) @ turn.T + place
+        inside = (pixels >= margin).all(axis=1)
+        inside &= (pixels <= np.array([width, height]) - 1.0 - margin).all(axis=1)
+        if np.linalg.norm(place - middle) < MIN_DISPLACEMENT_PX or inside.sum() < max(
+            MIN_RIM_POINTS, 0.3 * len(pixels)
+        ):
+            continue
+        moved = Rim(rim.points[inside], pixels[inside], (rim.normals @ turn.T)[inside])
+        covered = cv2.warpAffine(
+            view.covered.astype(np.uint8),
+            np.column_stack([turn, place - turn @ middle]),
+            (width, height),
+            flags=cv2.INTER_NEAREST,
+        )
+        there = dataclasses.replace(view, covered=covered > 0)
+        share = _share_off_edges(photo, there, moved)
+        if share is not None:
+            shares.append(share)
+        if len(shares) == N_DISPLACED:
+            break
+    return shares
+
+
+def _reduced(camera: Camera) -> Camera:
+    scale = min(1.0, SIDE_PX / max(camera.width, camera.height))
+    return camera.resized(
+        max(16, round(camera.width * scale)), max(16, round(camera.height * scale))
+    )
+
+
+def _colour_shares(
+    values: np.ndarray, surface: PairPoints
+) -> tuple[float, float, float]:
+    """Over all points, cut off at chance; of the median cell; and its standard error."""
+    cell_starts = surface.cell_starts
+    gain = exposure_gain(np.nan_to_num(values), cell_starts)
+    counts = np.diff(cell_starts)
+    pair = np.stack([values[:, 0] * gain, values[:, 1] / gain])
+    inner = np.stack([within_cells(part, cell_starts) for part in pair])
+    # What unrelated colours of this contrast would differ by.
+    chance = (inner**2).mean(axis=1).sum(axis=0)
+    if chance.sum() <= len(chance) * ROUNDING:
+        return 1.0, 1.0, 0.0
+    differences = pair[0] - pair[1]
+    differences -= fit_light(differences, surface.light_normals, cell_starts)
+    squared = within_cells(differences, cell_starts) ** 2
+    share = np.minimum(squared, 2.0 * chance).mean(axis=0).sum() / max(
+        chance.sum(), 1e-12
+    )
+    differ = np.add.reduceat(squared.sum(axis=1), cell_starts[:-1])
+    by_chance = np.add.reduceat((inner**2).sum(axis=(0, 2)), cell_starts[:-1])
+    telling = by_chance > 2.0 * len(chance) * ROUNDING * counts
+    telling &= counts >= MIN_CELL_POINTS
+    if not telling.any():
+        return float(min(1.0, share)), 1.0, 0.0
+    ratios = np.sort(differ[telling] / by_chance[telling])
+    typical = np.median(ratios)
+    # The cells' rank of the true median is binomial: sqrt(n) / 2 about the middle.
+    ranks = 0.5 * (len(ratios) - 1 + np.sqrt(len(ratios)) * np.array([-1.0, 1.0]))
+    low, high = np.interp(ranks, np.arange(len(ratios)), ratios)
+    error = 0.5 * float(high - low)
+    return float(min(1.0, share)), float(min(1.0, typical)), error

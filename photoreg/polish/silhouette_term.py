@@ -1,0 +1,414 @@
+"""The rim of the mesh, and the edges of the photo it should fall on.
+
+The rim is where the mesh ends against nothing, as a camera sees it: found on a grid
+of rays, then along each normal by bisection, so it needs no connectivity and meets
+meshes of any size. Where the surface itself ends (a border of the mesh) there is no
+silhouette, and no residual.
+
+Moving a camera, each rim point stays on its place of the surface to first order: the
+rim slides over the surface, but along the line of sight only (R. Cipolla and P.
+Giblin, "Visual Motion of Curves and Surfaces", 2000, section 2).
+"""
+
+import dataclasses
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.ndimage import correlate1d
+
+from photoreg.geometry.mesh import Mesh
+from photoreg.imaging.photo import Photo
+from photoreg.parameters.increments import N_INCREMENTS, Increments
+from photoreg.polish.grid_cells import cell_means
+from photoreg.polish.kernels import rim_rows
+from photoreg.polish.levenberg_marquardt import (
+    Quadratic,
+    overdispersion,
+    own_end,
+    scatter,
+)
+from photoreg.polish.photometric_term import SurfaceView, camera_rays
+
+CUT = 2.0
+"""Scale of the Cauchy cost in residual sigmas."""
+MIN_SIGMA_PX = 0.1
+"""Least residual scale, in pixels: edges are not found better than this."""
+SEGMENT_POINTS = 12
+"""Rim points in a row that share an offset: an edge is wrong over a stretch."""
+BLOCK_LENGTHS = (1, 2, 4)
+"""Lengths, in segments, of the stretches over which errors may be alike."""
+OUTLINE_SIGMA_PX = 0.5
+"""Spread of the offset that a whole outline has: scans come out fat or thin."""
+BISECTIONS = 7
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Rim:
+    """Points of a mesh's rim as one camera sees it, in order along the rim."""
+
+    points: Float[np.ndarray, "n 3"]
+    """On the surface, world axes."""
+    pixels: Float[np.ndarray, "n 2"]
+    """In the view, between the last ray that hits and the first that does not."""
+    normals: Float[np.ndarray, "n 2"]
+    """Unit vectors in the view, away from the object."""
+
+
+def find_rim(mesh: Mesh, view: SurfaceView, n_points: int) -> Rim:
+    """The rim of ``mesh`` in ``view``, about ``n_points`` points, without borders."""
+    covered = view.covered
+    none = Rim(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 2)))
+    contours, _ = cv2.findContours(
+        covered.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE
+    )
+    # Holes and islands of a few pixels are noise of the mesh, not its shape.
+    chains = [c[:, 0, :] for c in contours if len(c) >= 24]
+    if not chains:
+        return none
+    total = sum(len(chain) for chain in chains)
+    stride = max(1.0, total / n_points)
+    pixels = np.concatenate(
+        [
+            chain[(np.arange(int(len(chain) / stride)) * stride).astype(int)]
+            for chain in chains
+        ]
+    ).astype(np.float64)
+    smooth = cv2.GaussianBlur(covered.astype(np.float32), (0, 0), 1.5)
+    columns, rows = pixels.astype(int).T
+    height, width = covered.shape
+    inside = (columns > 2) & (rows > 2) & (columns < width - 3) & (rows < height - 3)
+    pixels, columns, rows = pixels[inside], columns[inside], rows[inside]
+    normals = -np.column_stack(
+        [
+            smooth[rows, columns + 1] - smooth[rows, columns - 1],
+            smooth[rows + 1, columns] - smooth[rows - 1, columns],
+        ]
+    ).astype(np.float64)
+    lengths = np.linalg.norm(normals, axis=1)
+    keep = lengths > 0.05
+    pixels, normals = pixels[keep], normals[keep] / lengths[keep, None]
+    if len(pixels) == 0:
+        return none
+
+    near, far = np.full(len(pixels), 0.0), np.full(len(pixels), 2.5)
+    good = np.ones(len(pixels), dtype=bool)
+    face_at = np.full(len(pixels), -1)
+    depth_at = np.zeros(len(pixels))
+    # First and second round: the ends of the interval, which must differ.
+    for attempt in range(BISECTIONS + 2):
+        at = near if attempt == 0 else far if attempt == 1 else 0.5 * (near + far)
+        face, depth = mesh.first_hits(
+            *camera_rays(view.camera, pixels + at[:, None] * normals)
+        )
+        hit = face >= 0
+        if attempt == 0:
+            good &= hit
+        elif attempt == 1:
+            good &= ~hit
+        else:
+            near, far = np.where(hit, at, near), np.where(hit, far, at)
+        last = hit & (attempt != 1)
+        face_at = np.where(last, face, face_at)
+        depth_at = np.where(last, depth, depth_at)
+    pixels = pixels + (0.5 * (near + far))[:, None] * normals
+    origins, directions = camera_rays(view.camera, pixels)
+    points = origins + depth_at[:, None] * directions
+    good &= face_at >= 0
+    facing = np.einsum("ij,ij->i", mesh.face_normals[face_at], directions) < 0.0
+    good &= facing & ~mesh.is_border_face[face_at]
+    return Rim(points[good], pixels[good], normals[good])
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ColourModel:
+    """How much likelier a colour is inside the object than around it."""
+
+    log_ratio: Float[np.ndarray, "b b b"]
+    """log p(inside) / p(outside) of each bin of red, green and blue, clipped."""
+
+    def of(self, colours: Float[np.ndarray, "*n 3"]) -> np.ndarray:
+        """The log ratio of each colour (0 to 255)."""
+        b = self.log_ratio.shape[0]
+        index = np.clip(colours * (b / 256.0), 0, b - 1).astype(np.int64)
+        return self.log_ratio[index[..., 0], index[..., 1], index[..., 2]]
+
+
+def colour_model(
+    pixels: Float[np.ndarray, "h w 3"],
+    covered: Bool[np.ndarray, "h w"],
+    reach_px: float,
+    counts: Bool[np.ndarray, "h w"] | None = None,
+) -> ColourModel:
+    """Colours inside the object and in a band of ``reach_px`` around it.
+
+    The cover may be off by some pixels: the mistake is in both histograms and only
+    makes them more alike. Only pixels that ``counts`` has are looked at.
+    """
+    bins = 24
+    gap = cv2.distanceTransform((~covered).astype(np.uint8), cv2.DIST_L2, 5)
+    around = ~covered & (gap <= max(2, round(reach_px)))
+    values = np.ascontiguousarray(pixels, dtype=np.float32)
+    histograms = []
+    for region in (covered, around):
+        region = region if counts is None else region & counts
+        smooth = cv2.calcHist(
+            [values], [0, 1, 2], region.astype(np.uint8), [bins] * 3, [0.0, 256.0] * 3
+        ).astype(np.float64)
+        for axis in range(3):
+            smooth = correlate1d(smooth, [0.25, 0.5, 0.25], axis, mode="nearest")
+        histograms.append((smooth + 0.02) / (smooth + 0.02).sum())
+    ratio = np.log(histograms[0] / histograms[1])
+    return ColourModel(np.clip(ratio, -3.0, 3.0))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RimEdges:
+    """For each rim point the photo's edge along its normal."""
+
+    offset_px: Float[np.ndarray, "n"]
+    """From the rim outwards to the edge, in pixels of the view; NaN: none found."""
+    counts: Bool[np.ndarray, "n"]
+    """Whether the photo's mask leaves anything of the normal to search."""
+
+
+def find_edges(photo: Photo, view: SurfaceView, rim: Rim, reach_px: float) -> RimEdges:
+    """Searches each rim point's normal for the edge between object and surroundings.
+
+    The edge is where colours like the object's give way to colours like the
+    surroundings', where the colour steps, and near. Where colours inside and outside
+    are alike, the step alone counts. What the photo's mask leaves out has neither colours
+    nor edges; its border is an edge only where the photo's colours step there.
+    """
+    size = (view.camera.width, view.camera.height)
+    pixels = photo.pixels
+    if (photo.width, photo.height) != size:
+        pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+    values = cv2.GaussianBlur(pixels.astype(np.float32), (0, 0), 0.8)
+    mask = resized_mask(photo, size)
+    model = colour_model(values, view.covered, reach_px, mask)
+    half = 2.0
+    reach = max(3, round(reach_px * half))
+    steps = np.arange(-reach - 2, reach + 3) / half
+    at = rim.pixels[:, None, :] + steps[None, :, None] * rim.normals[:, None, :]
+    maps = at.astype(np.float32)
+    profile = cv2.remap(
+        values,
+        maps[..., 0],
+        maps[..., 1],
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    slope = 0.5 * (profile[:, 2:] - profile[:, :-2])
+    strength = np.sqrt((slope**2).sum(axis=2))[:, 1:-1]
+    ratio = model.of(profile)[:, 2:-2]
+    counts = np.ones(len(ratio), dtype=bool)
+    if mask is not None:
+        ratio = np.where(_at(mask, maps)[:, 2:-2], ratio, 0.0)
+        # The step at the border of the mask is between a pixel that counts and one that
+        # does not.
+        near = cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        within = _at(near, maps)[:, 2:-2]
+        strength = np.where(within, strength, 0.0)
+        counts = np.logical_or.reduce(within, axis=1)
+    # Inside up to here, outside from here on; neighbours are not independent.
+    inside = np.cumsum(ratio, axis=1)
+    split = (2.0 * inside - inside[:, -1:]) / (half * 4.0)
+    positions = steps[2:-2]
+    noise = np.median(strength[counts]) + 1.0 if counts.any() else 1.0
+    score = (
+        split
+        + 2.0 * np.log1p(strength / noise)
+        - 0.5 * (positions / (0.5 * reach_px)) ** 2
+    )
+    rows = np.arange(len(score))
+    best = np.clip(score.argmax(axis=1), 1, len(positions) - 2)
+    # To the nearest top of the step's strength, then to a fraction by a parabola.
+    for _ in range(3):
+        left, here, right = (strength[rows, best + d] for d in (-1, 0, 1))
+        best = best + np.where((right > here) & (right >= left), 1, 0)
+        best = best - np.where((left > here) & (left > right), 1, 0)
+        best = np.clip(best, 1, len(positions) - 2)
+    left, here, right = (strength[rows, best + d] for d in (-1, 0, 1))
+    bend = left - 2.0 * here + right
+    peak = (bend < 0.0) & (here >= left) & (here >= right) & (here > noise)
+    fraction = np.where(peak, 0.5 * (left - right) / np.where(peak, bend, 1.0), 0.0)
+    offset = positions[best] + np.clip(fraction, -0.5, 0.5) / half
+    shown = view.camera.contains(rim.pixels + offset[:, None] * rim.normals)
+    return RimEdges(np.where(peak & shown & counts, offset, np.nan), counts)
+
+
+def resized_mask(photo: Photo, size: tuple[int, int]) -> Bool[np.ndarray, "h w"] | None:
+    """The photo's mask at width and height ``size``; None where all counts."""
+    if photo.mask is None:
+        return None
+    share = cv2.resize(
+        photo.mask.astype(np.float32), size, interpolation=cv2.INTER_AREA
+    )
+    return share >= 0.5
+
+
+def _at(mask: Bool[np.ndarray, "h w"], maps: Float[np.ndarray, "n k 2"]) -> np.ndarray:
+    """The mask at the pixels nearest to ``maps``, beyond the border that on it."""
+    height, width = mask.shape
+    columns = np.clip(np.rint(maps[..., 0]).astype(int), 0, width - 1)
+    rows = np.clip(np.rint(maps[..., 1]).astype(int), 0, height - 1)
+    return mask[rows, columns]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RimTerm:
+    """Distance of one photo's rim from the photo's edges: a term of the polish."""
+
+    photo: int
+    """Index of the photo."""
+    rim: Rim
+    edges: Float[np.ndarray, "n 2"]
+    """The edge that each rim point should fall on, in pixels of the view."""
+    cell_starts: Int[np.ndarray, "cells+1"]
+    """First point of each segment of the rim."""
+    size: tuple[int, int]
+    """Width and height of the view."""
+    increments: Increments
+    sigma: float
+    """Residual scale within segments, in pixels of the view."""
+    tau: float
+    """Spread of the segments' offsets, in pixels of the view."""
+    outline: float
+    """Spread of the whole outline's offset, in pixels of the view."""
+    weight: float
+    """Independent residuals, as a share of the points."""
+
+    @classmethod
+    def measured(
+        cls,
+        photo: int,
+        rim: Rim,
+        edges: RimEdges,
+        size: tuple[int, int],
+        increments: Increments,
+        outline_px: float,
+        weight: float,
+    ) -> "RimTerm | None":
+        """The term with its noise measured; None where too few edges were found."""
+        found = np.isfinite(edges.offset_px)
+        if found.sum() < 4 * SEGMENT_POINTS:
+            return None
+        rim = Rim(rim.points[found], rim.pixels[found], rim.normals[found])
+        offset = edges.offset_px[found]
+        starts = np.append(
+            np.arange(0, len(offset) - SEGMENT_POINTS // 2, SEGMENT_POINTS), len(offset)
+        )
+        full = offset[: starts[-2]].reshape(-1, SEGMENT_POINTS)
+        medians = np.append(np.median(full, axis=1), np.median(offset[starts[-2] :]))
+        inner = offset - np.repeat(medians, np.diff(starts))
+        sigma = max(1.4826 * float(np.median(np.abs(inner))), MIN_SIGMA_PX)
+        centred = medians - np.median(medians)
+        spread = (1.4826 * float(np.median(np.abs(centred)))) ** 2
+        tau = np.sqrt(max(spread - sigma**2 / SEGMENT_POINTS, 0.0))
+        return cls(
+            photo,
+            rim,
+            rim.pixels + offset[:, None] * rim.normals,
+            starts.astype(np.int64),
+            size,
+            increments,
+            sigma,
+            float(max(tau, 1e-3)),
+            outline_px,
+            weight,
+        )
+
+    def linearise(self, x: Float[np.ndarray, "p"]) -> Quadratic:
+        """The cost and normal equations at ``x``."""
+        residual, rows = self._residuals(x)
+        weights, error, cost = self._offsets(residual)
+        J = -np.einsum("nd,ndp->np", self.rim.normals, rows) / self.sigma
+        starts = self.cell_starts
+        # The segments' offsets and the outline's, eliminated.
+        A = np.column_stack([J, np.ones(len(J))])
+        wA = weights[:, None] * A
+        normal = A.T @ wA
+        sums = np.add.reduceat(wA, starts[:-1], axis=0)
+        precision = self.weight * (self.sigma / self.tau) ** 2
+        totals = np.add.reduceat(weights, starts[:-1]) + precision
+        normal -= (sums / totals[:, None]).T @ sums
+        last = normal[-1, -1] + (self.sigma / self.outline) ** 2
+        normal = normal[:-1, :-1] - np.outer(normal[:-1, -1], normal[-1, :-1]) / last
+        own = self._own
+        whole, gradient = np.zeros((len(x), len(x))), np.zeros(len(x))
+        whole[own, own] = normal
+        gradient[own] = J.T @ (weights * error)
+        return Quadratic(cost, gradient, whole)
+
+    def tempered(self, x: Float[np.ndarray, "p"]) -> "RimTerm":
+        """The term weighted by what its segments know at ``x``; see ``PairTerm``."""
+        ratio = overdispersion(*self._own_scores(x))
+        return dataclasses.replace(self, weight=self.weight / ratio)
+
+    def scatter(self, x: Float[np.ndarray, "p"]) -> Float[np.ndarray, "p p"]:
+        """Covariance of the gradient at ``x``."""
+        whole = np.zeros((len(x), len(x)))
+        whole[self._own, self._own] = scatter(*self._own_scores(x))
+        return whole
+
+    def _own_scores(
+        self, x: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
+        """Gradients of the segments, normal matrix and groupings where it would go.
+
+        Where it is, if nothing can be reckoned there.
+        """
+        limits = np.full(len(x), np.inf)
+        limits[self._own] = self.increments.limits
+        model = self.linearise(end := own_end(self.linearise(x), x, limits))
+        if model.is_finite:
+            x = end
+        else:
+            model = self.linearise(x)
+        residual, rows = self._residuals(x)
+        weights, error, _ = self._offsets(residual)
+        J = -np.einsum("nd,ndp->np", self.rim.normals, rows) / self.sigma
+        parts = np.add.reduceat((weights * error)[:, None] * J, self.cell_starts[:-1])
+        index = np.arange(len(parts))
+        return (
+            parts,
+            model.normal[self._own, self._own],
+            [index // length for length in BLOCK_LENGTHS],
+        )
+
+    @property
+    def _own(self) -> slice:
+        """The increments of this term's camera."""
+        return slice(self.photo * N_INCREMENTS, (self.photo + 1) * N_INCREMENTS)
+
+    def _residuals(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        geometry = self.increments.geometry(x[self._own], *self.size)
+        pixels, rows = rim_rows(geometry, self.rim.points)
+        residual = np.einsum("nd,nd->n", self.rim.normals, self.edges - pixels)
+        return residual / self.sigma, rows
+
+    def _offsets(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """Weights, residuals after the offsets, and the cost."""
+        starts, counts = self.cell_starts, np.diff(self.cell_starts)
+        precision = self.weight * (self.sigma / self.tau) ** 2
+        outline_precision = (self.sigma / self.outline) ** 2
+        segments = cell_means(residual, starts)
+        segments *= self.tau**2 / (self.tau**2 + self.sigma**2 / SEGMENT_POINTS)
+        outline = 0.0
+        for _ in range(6):
+            error = residual - outline - np.repeat(segments, counts)
+            w = self.weight / (1.0 + (error / CUT) ** 2)
+            without = w * (residual - outline)
+            segments = np.add.reduceat(without, starts[:-1]) / (
+                np.add.reduceat(w, starts[:-1]) + precision
+            )
+            rest = residual - np.repeat(segments, counts)
+            outline = float(w @ rest) / (float(w.sum()) + outline_precision)
+        error = residual - outline - np.repeat(segments, counts)
+        cost = (
+            self.weight * 0.5 * CUT**2 * float(np.log1p((error / CUT) ** 2).sum())
+            + 0.5 * precision * float(segments @ segments)
+            + 0.5 * outline_precision * outline**2
+        )
+        return self.weight / (1.0 + (error / CUT) ** 2), error, cost

@@ -1,0 +1,5 @@
+"""The project folder and its database."""
+
+from photoreg.project.folder import DATABASE as DATABASE
+from photoreg.project.project import Project as Project
+from photoreg.project.project import Step as Step

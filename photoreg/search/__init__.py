@@ -1,0 +1,1 @@
+"""The genetic algorithm and the cost that it minimises."""

@@ -1,0 +1,150 @@
+"""Whether the object lies where a photo has the object's colours: a term of the search.
+
+Where the photos show mostly background, colours agree best on the background: cameras
+slide off the object and every cost of photo-consistency is content. Here points of the
+surface ought to read colours like the object's, points beside it colours like the
+surroundings'. Both sides are asked, so neither growing nor shrinking pays.
+"""
+
+from collections.abc import Sequence
+
+import cv2
+import numba as nb
+import numpy as np
+from jaxtyping import Float
+from scipy.ndimage import distance_transform_edt
+
+from photoreg.geometry.camera import Camera
+from photoreg.geometry.mesh import Mesh
+from photoreg.imaging.photo import Photo
+from photoreg.parameters.genes import GeneMap
+from photoreg.polish.photometric_term import camera_rays, surface_view
+from photoreg.polish.silhouette_term import colour_model, resized_mask
+
+SIDE_PX = 512
+"""Photos are reduced to this many pixels on the longer side at most."""
+BAND_SHARE = 0.08
+"""Width of the surroundings looked at, as a share of that side: about as far as rough
+cameras put the object wrong."""
+BLUR_PX = 1.5
+N_POINTS = 500
+"""Points of each kind a photo."""
+
+
+class Foreground:
+    """How badly cameras put the object where its colours are not."""
+
+    def __init__(
+        self, mesh: Mesh, photos: Sequence[Photo], cameras: Sequence[Camera], seed: int
+    ) -> None:
+        """Learns the colours inside and around the object from rough ``cameras``.
+
+        The object is off by some pixels there: both sides hold some of the other's
+        colours, which makes them more alike, not wrong.
+        """
+        rng = np.random.default_rng(seed)
+        points, self._scales = [], []
+        self._images = []
+        for photo, camera in zip(photos, cameras, strict=True):
+            reduction = min(1.0, SIDE_PX / max(camera.width, camera.height))
+            small = camera.resized(
+                max(16, round(camera.width * reduction)),
+                max(16, round(camera.height * reduction)),
+            )
+            view = surface_view(mesh, small)
+            band_px = BAND_SHARE * max(small.width, small.height)
+            self._images.append(_evidence(photo, view.covered, band_px))
+            nearest = _nearest_covered(view.covered)
+            rows, columns = np.indices(view.covered.shape)
+            gap = np.hypot(nearest[0] - rows, nearest[1] - columns)
+            around = (gap > 0.0) & (gap <= band_px)
+            for region in (view.covered, around):
+                rows, columns = np.nonzero(region)
+                if len(rows) == 0:
+                    points.append(np.full((1, 3), np.nan))
+                    continue
+                chosen = rng.integers(0, len(rows), N_POINTS)
+                rows, columns = rows[chosen], columns[chosen]
+                depth = view.depth[tuple(nearest[:, rows, columns])]
+                origins, rays = camera_rays(
+                    small, np.column_stack([columns, rows]).astype(np.float64)
+                )
+                points.append(origins + depth[:, None] * rays)
+            self._scales.append(
+                (small.width / camera.width, small.height / camera.height)
+            )
+        self._points = np.concatenate(points)
+        self._starts = np.cumsum([0, *(len(p) for p in points)])
+
+    def misfits(
+        self, genes: Float[np.ndarray, "p g"], gene_map: GeneMap
+    ) -> Float[np.ndarray, "p"]:
+        """Of each individual: 0 all as it should be, 1 chance, 2 all wrong."""
+        P = gene_map.poses(genes).P
+        total = np.zeros(len(genes))
+        for i, (image, (sx, sy)) in enumerate(
+            zip(self._images, self._scales, strict=True)
+        ):
+            # Pixel centres: x_new = (x + 1/2) scale - 1/2.
+            reduce = np.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1]])
+            first, middle, last = self._starts[2 * i : 2 * i + 3]
+            total += mean_evidence_gap(
+                np.ascontiguousarray(reduce @ P[:, i]),
+                self._points[first:middle],
+                self._points[middle:last],
+                image,
+            )
+        return 1.0 - 0.5 * total / len(self._images)
+
+
+def _nearest_covered(covered: np.ndarray) -> np.ndarray:
+    """Row and column, (2, h, w), of the covered pixel nearest to each pixel."""
+    return np.asarray(
+        distance_transform_edt(~covered, return_distances=False, return_indices=True)
+    )
+
+
+def _evidence(
+    photo: Photo, covered: np.ndarray, band_px: float
+) -> Float[np.ndarray, "h w"]:
+    """Of each pixel: 1 surely the object's colour, -1 surely the surroundings'.
+
+    0 where the photo does not count.
+    """
+    size = (covered.shape[1], covered.shape[0])
+    pixels = cv2.resize(photo.pixels, size, interpolation=cv2.INTER_AREA)
+    values = cv2.GaussianBlur(pixels.astype(np.float32), (0, 0), BLUR_PX)
+    mask = resized_mask(photo, size)
+    log_ratio = colour_model(values, covered, band_px, mask).of(values)
+    evidence = np.tanh(0.5 * log_ratio)
+    if mask is not None:
+        evidence = np.where(mask, evidence, 0.0)
+    return np.ascontiguousarray(evidence, dtype=np.float32)
+
+
+@nb.njit(parallel=True, cache=True, nogil=True)
+def mean_evidence_gap(projections, inside, outside, image):  # noqa: ANN001, ANN201
+    """Mean evidence at ``inside`` less that at ``outside``, for each projection (p, 3, 4).
+
+    Points that leave the picture count as without evidence.
+    """
+    height, width = image.shape
+    out = np.zeros(len(projections))
+    for individual in nb.prange(len(projections)):
+        P = projections[individual]
+        gap = 0.0
+        for sign in (1.0, -1.0):
+            points = inside if sign > 0.0 else outside
+            total = 0.0
+            for i in range(len(points)):
+                x, y, z = points[i, 0], points[i, 1], points[i, 2]
+                depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
+                if not depth > 0.0:
+                    continue
+                u = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) / depth + 0.5
+                v = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) / depth + 0.5
+                if 0.0 <= u < width and 0.0 <= v < height:
+                    total += image[int(v), int(u)]
+            gap += sign * total / len(points)
+        out[individual] = gap
+    return out

@@ -1,0 +1,307 @@
+"""Photo-consistency: how well photos agree on the surface, as a function of cameras."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Literal
+
+import cv2
+import numba as nb
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+
+from photoreg.errors import InputError
+from photoreg.geometry.camera import Camera
+from photoreg.geometry.mesh import Mesh
+from photoreg.geometry.sampling import SurfaceSamples, surface_patches
+from photoreg.imaging.colour import ColourSpace, convert
+from photoreg.imaging.photo import Photo
+from photoreg.parameters.genes import GeneMap, Poses
+from photoreg.search.kernels import population_costs
+from photoreg.search.kernels_mncc import population_mncc
+
+CostName = Literal["ssd", "trimmed_squares", "alpha_trimmed", "variance", "mncc"]
+
+
+@dataclasses.dataclass(frozen=True)
+class ConsistencyConfig:
+    """How two or more photos of a surface are compared."""
+
+    colour: ColourSpace = "luv"
+    """Colour space of the differences: rgb, xyz, hsi, luv or lab; each on a scale of
+    about 100."""
+    cost: CostName = "alpha_trimmed"
+    """ssd: mean of squared differences (the paper's eq. 1). trimmed_squares: without
+    the largest share alpha. alpha_trimmed: without the share alpha at either end.
+    variance: mean variance of a point's colours. mncc: 1 - modified normalised
+    cross-correlation of small patches carried over the surface."""
+    alpha: float = 0.2
+    """Share of the points trimmed, in [0, 0.5). 0.2 tolerates a highlight over a fifth
+    of what is seen."""
+    exposure: bool = True
+    """Whether gain and offset of each colour channel may differ between photos; solved
+    in closed form for each individual."""
+    relative: bool = False
+    """Whether the cost is relative to the variance of the colours seen, so that cameras
+    that look at something plain gain nothing. Not for mncc, which is so already."""
+    min_cosine: float = 0.5
+    """A camera sees a point if the cosine between its normal and the direction to the
+    camera is at least this, in [0, 1). 0.5 is 60 degrees."""
+    min_share: float = 0.5
+    """Cameras that see fewer points in common than this share of what the start sees
+    get an infinite cost, in [0, 1]. 0: no limit."""
+    max_side_px: int = 1600
+    """Photos are reduced to this longer side, in pixels, at least 16."""
+    blur_px: float = 0.0
+    """Sigma of a Gaussian blur of the reduced photos, in their pixels, 0 or more."""
+
+    patch_side: int = 5
+    """Points along a side of an mncc patch, odd, 3 to 99."""
+    patch_step_px: float = 2.0
+    """Distance between the points of an mncc patch, in pixels of the reduced photos,
+    above 0."""
+
+    def __post_init__(self) -> None:
+        if not 3 <= self.patch_side <= 99 or self.patch_side % 2 == 0:
+            raise InputError(
+                f"patch_side is {self.patch_side}; give an odd number from 3 to 99."
+            )
+        if not 0.0 < self.patch_step_px < np.inf:
+            raise InputError(
+                f"patch_step_px is {self.patch_step_px}; give a number above 0."
+            )
+        if not 0.0 <= self.alpha < 0.5:
+            raise InputError(f"alpha is {self.alpha}; give a share in [0, 0.5).")
+        if not 0.0 <= self.min_cosine < 1.0:
+            raise InputError(
+                f"min_cosine is {self.min_cosine}; give a cosine in [0, 1)."
+            )
+        if not 0.0 <= self.min_share <= 1.0:
+            raise InputError(f"min_share is {self.min_share}; give a share in [0, 1].")
+        if self.max_side_px < 16:
+            raise InputError(f"max_side_px is {self.max_side_px}; give at least 16.")
+        if not 0.0 <= self.blur_px < np.inf:
+            raise InputError(f"blur_px is {self.blur_px}; give 0 or more.")
+
+    @property
+    def trimmed_shares(self) -> tuple[float, float]:
+        """Shares dropped at the low and at the high end."""
+        high = self.alpha if self.cost in ("trimmed_squares", "alpha_trimmed") else 0.0
+        return (self.alpha if self.cost == "alpha_trimmed" else 0.0), high
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PhotoStack:
+    """Photos reduced, in a colour space, blurred, one after the other in memory."""
+
+    pixels: Float32[np.ndarray, "total 4"]
+    """Three colour channels and validity (1 inside the mask, 0 outside)."""
+    layouts: np.ndarray
+    """(m, 3) int64: first row in ``pixels``, width and height of each photo."""
+    full_sizes: np.ndarray
+    """(m, 2) width and height of the photos as given."""
+    has_mask: bool
+    """Whether any pixel is invalid."""
+
+
+def stack_photos(photos: Sequence[Photo], config: ConsistencyConfig) -> PhotoStack:
+    """Prepares photos for sampling; the full photos are never copied as floats."""
+    parts, layouts, offset = [], [], 0
+    for photo in photos:
+        small = photo.resized(config.max_side_px)
+        colours = convert(small.pixels, config.colour)
+        valid = np.ones(colours.shape[:2], dtype=np.float32)
+        if small.mask is not None:
+            valid = small.mask.astype(np.float32)
+        if config.blur_px > 0.0:
+            colours = _blur_inside(colours, valid, config.blur_px)
+        parts.append(np.dstack([colours, valid]).reshape(-1, 4))
+        layouts.append((offset, small.width, small.height))
+        offset += small.width * small.height
+    return PhotoStack(
+        np.concatenate(parts),
+        np.array(layouts, dtype=np.int64),
+        np.array([[photo.width, photo.height] for photo in photos]),
+        any(photo.mask is not None for photo in photos),
+    )
+
+
+def _blur_inside(colours: np.ndarray, valid: np.ndarray, sigma_px: float) -> np.ndarray:
+    """Gaussian blur that takes nothing in from outside the mask."""
+    if valid.all():
+        return cv2.GaussianBlur(colours, (0, 0), sigma_px)
+    weight = cv2.GaussianBlur(valid, (0, 0), sigma_px)
+    blurred = cv2.GaussianBlur(colours * valid[..., None], (0, 0), sigma_px)
+    return blurred / np.maximum(weight, np.float32(1e-6))[..., None]
+
+
+class PhotoConsistency:
+    """The cost of cameras: samples, photos, colour space and reducer, bound together."""
+
+    def __init__(
+        self,
+        samples: SurfaceSamples,
+        photos: Sequence[Photo],
+        config: ConsistencyConfig | None = None,
+        allowed: Bool[np.ndarray, "m n"] | None = None,
+        patches: Float[np.ndarray, "n q 3"] | None = None,
+    ) -> None:
+        """Binds samples and photos.
+
+        Args:
+            samples: Points on the surface.
+            photos: Two or more.
+            config: How they are compared; None: the defaults.
+            allowed: Samples each photo may show; the others are known to be hidden.
+            patches: Points around each sample, for the mncc cost only; see
+                ``patches_of``.
+
+        Raises:
+            InputError: with fewer than two photos, or mncc without patches.
+        """
+        if len(photos) < 2:
+            raise InputError(
+                f"Photo-consistency compares photos, but there is {len(photos)}; give "
+                "at least two."
+            )
+        self.config = ConsistencyConfig() if config is None else config
+        self.samples = samples
+        self.stack = stack_photos(photos, self.config)
+        # The kernel works in float32: centre and scale the world to O(1) for it.
+        self._origin = samples.points.mean(axis=0)
+        self._scale = float(np.abs(samples.points - self._origin).max()) or 1.0
+        scaled = (samples.points - self._origin) / self._scale
+        along = np.einsum("nd,nd->n", samples.normals, scaled)
+        self._points = np.ascontiguousarray(
+            np.column_stack([scaled, samples.normals, along]).T, dtype=np.float32
+        )
+        self._patches = None
+        if self.config.cost == "mncc":
+            if patches is None:
+                raise InputError("The mncc cost compares patches; give their points.")
+            self._patches = ((patches - self._origin) / self._scale).astype(np.float32)
+        self._allowed = np.ones((len(photos), len(samples)), dtype=np.uint8)
+        if allowed is not None:
+            self.allow(allowed)
+        self.min_samples = 1
+        self._reference_spread = 0.0
+        self.evaluations = 0
+
+    def allow(self, allowed: Bool[np.ndarray, "m n"]) -> None:
+        """Sets which samples each photo may show; the others never vote."""
+        self._allowed = np.ascontiguousarray(allowed, dtype=np.uint8)
+
+    def require(self, cameras: Sequence[Camera]) -> None:
+        """Measures the others by these cameras.
+
+        A finite cost needs ``min_share`` of the samples that these see in common; and
+        if the cost is ``relative``, it is so to the variance of the colours they see.
+        """
+        self.min_samples, self._reference_spread = 1, 1.0
+        _, counts, spreads = self._evaluate(_poses_of(cameras))
+        self.min_samples = max(1, int(self.config.min_share * counts[0]))
+        self._reference_spread = float(spreads[0]) if self.config.relative else 0.0
+
+    def cost(self, cameras: Sequence[Camera]) -> float:
+        """The cost of one set of cameras; +inf when they see too little in common."""
+        return float(self._evaluate(_poses_of(cameras))[0][0])
+
+    def cost_and_chance(self, cameras: Sequence[Camera]) -> tuple[float, float]:
+        """The cost, and the variance of the colours seen.
+
+        Unrelated photos of the same contrast would cost about that variance, because
+        exposure is solved along: the best gain between them is none.
+        """
+        costs, _, spreads = self._evaluate(_poses_of(cameras))
+        return float(costs[0]), float(spreads[0])
+
+    def n_common(self, cameras: Sequence[Camera]) -> int:
+        """How many samples at least two of the photos see."""
+        return int(self._evaluate(_poses_of(cameras))[1][0])
+
+    def costs(
+        self, genes: Float[np.ndarray, "p g"], gene_map: GeneMap
+    ) -> Float[np.ndarray, "p"]:
+        """The costs of a population."""
+        self.evaluations += len(genes)
+        return self._evaluate(gene_map.poses(genes))[0]
+
+    def _evaluate(self, poses: Poses) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        config = self.config
+        projections, centers = self._normalised(poses)
+        n_chunks = min(len(projections), 4 * nb.get_num_threads())
+        if self._patches is not None:
+            costs, counts = population_mncc(
+                self._points,
+                self._patches,
+                projections,
+                centers,
+                self._allowed,
+                self.stack.pixels,
+                self.stack.layouts,
+                config.min_cosine,
+                self.min_samples,
+                n_chunks,
+            )
+            return costs, counts, np.zeros(len(costs))
+        low_share, high_share = config.trimmed_shares
+        return population_costs(
+            self._points,
+            projections,
+            centers,
+            self._allowed,
+            self.stack.pixels,
+            self.stack.layouts,
+            self.stack.has_mask,
+            config.min_cosine,
+            low_share,
+            high_share,
+            config.cost == "variance",
+            config.exposure,
+            self._reference_spread,
+            self.min_samples,
+            n_chunks,
+        )
+
+    def _normalised(self, poses: Poses) -> tuple[np.ndarray, np.ndarray]:
+        """Projections and centres for the scaled points and the reduced photos."""
+        ratio = self.stack.layouts[:, 1:] / self.stack.full_sizes
+        reduce = np.zeros((len(ratio), 3, 3))
+        reduce[:, 0, 0], reduce[:, 1, 1], reduce[:, 2, 2] = ratio[:, 0], ratio[:, 1], 1
+        # Pixel centres: x_new = (x + 1/2) ratio - 1/2.
+        reduce[:, :2, 2] = 0.5 * ratio - 0.5
+        to_world = np.diag([self._scale, self._scale, self._scale, 1.0])
+        to_world[:3, 3] = self._origin
+        projections = reduce @ poses.P @ to_world
+        # Depths of O(1): rounding of the pixel is then relative to 1.
+        depth = np.abs(projections[..., 2, 3])
+        projections /= np.maximum(depth, 1e-12)[..., None, None]
+        centers = (poses.centers - self._origin) / self._scale
+        return (
+            np.ascontiguousarray(projections, dtype=np.float32),
+            np.ascontiguousarray(centers, dtype=np.float32),
+        )
+
+
+def patches_of(
+    mesh: Mesh,
+    samples: SurfaceSamples,
+    cameras: Sequence[Camera],
+    config: ConsistencyConfig,
+) -> Float[np.ndarray, "n q 3"]:
+    """The patches of the mncc cost: ``patch_step_px`` apart as these cameras see them."""
+    steps = []
+    for camera in cameras:
+        reduction = min(1.0, config.max_side_px / max(camera.width, camera.height))
+        depth = np.abs(camera.to_camera(samples.points)[:, 2])
+        steps.append(config.patch_step_px * depth / (camera.focal_px * reduction))
+    return surface_patches(
+        mesh, samples, np.median(np.array(steps), axis=0), config.patch_side
+    )
+
+
+def _poses_of(cameras: Sequence[Camera]) -> Poses:
+    return Poses(
+        np.array([[camera.K for camera in cameras]]),
+        np.array([[camera.R_cam_world for camera in cameras]]),
+        np.array([[camera.t_cam_world for camera in cameras]]),
+    )

@@ -1,0 +1,90 @@
+"""Nine numbers that move a camera: round trips, derivatives, the pivot stays."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+from photoreg.geometry.camera import MAX_FOCAL_PX, Camera
+from photoreg.parameters.increments import (
+    Increments,
+    PriorScales,
+    rotation,
+    rotation_vector,
+)
+from photoreg.polish.kernels import rim_rows
+
+
+@pytest.fixture
+def increments():
+    K = np.array([[900.0, 1.5, 310.0], [0.0, 880.0, 260.0], [0.0, 0.0, 1.0]])
+    base = Camera(
+        K, rotation(np.array([0.3, -0.5, 0.2])), np.array([0.2, -0.1, 6.0]), 640, 480
+    )
+    return Increments(base, np.array([0.1, 0.2, -0.3]), PriorScales())
+
+
+X = np.array([0.7, -1.2, 0.4, 0.3, -0.8, 1.1, -0.9, 1.5, -0.6])
+
+
+def test_of_camera_inverts_camera(increments):
+    back = increments.of_camera(increments.camera(X))
+    assert np.abs(back - X).max() < 1e-10, back - X
+
+
+def test_zero_is_the_base(increments):
+    assert np.abs(increments.camera(np.zeros(9)).P - increments.base.P).max() < 1e-10
+
+
+def test_rotation_leaves_the_pivot_where_it_is(increments):
+    turned = increments.camera(np.array([3.0, -2.0, 5.0, 0, 0, 0, 0, 0, 0]))
+    pivot = increments.pivot[None]
+    gap = np.abs(turned.project(pivot) - increments.base.project(pivot)).max()
+    assert gap < 1e-9, gap
+
+
+def test_rotation_vector_inverts_rotation_also_near_zero():
+    for size in (1e-10, 1e-5, 0.1, 3.0):
+        vector = size * np.array([0.6, -0.3, 0.74162])
+        gap = np.abs(rotation_vector(rotation(vector)) - vector).max()
+        assert gap < 1e-9, (size, gap)
+
+
+def test_projection_rows_are_the_finite_differences(increments):
+    points = np.random.default_rng(0).normal(size=(20, 3))
+    pixels, rows = rim_rows(increments.geometry(X, 640, 480), points)
+    assert np.abs(pixels - increments.camera(X).project(points)).max() < 1e-8
+    for j in range(9):
+        step = np.zeros(9)
+        step[j] = 1e-5
+        ahead = increments.camera(X + step).project(points)
+        behind = increments.camera(X - step).project(points)
+        gap = np.abs((ahead - behind) / 2e-5 - rows[:, :, j]).max()
+        assert gap < 1e-5, (j, gap)
+
+
+def test_geometry_of_a_reduced_photo_is_the_resized_camera(increments):
+    points = np.random.default_rng(0).normal(size=(20, 3))
+    pixels, _ = rim_rows(increments.geometry(X, 160, 120), points)
+    expected = increments.camera(X).resized(160, 120).project(points)
+    assert np.abs(pixels - expected).max() < 1e-9
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.7, 1e3])
+def test_every_vector_within_the_limits_is_a_camera(increments, scale):
+    wide = dataclasses.replace(increments, scales=PriorScales().scaled(scale))
+    signs = np.array(list(itertools.product([-1.0, 1.0], repeat=9)))
+    for x in signs * wide.limits:
+        camera = wide.camera(x)
+        assert np.abs(wide.of_camera(camera) - x).max() < 1e-6 * np.abs(x).max()
+        # The object is still before it.
+        assert camera.to_camera(wide.pivot[None])[0, 2] > 0.0
+
+
+def test_a_camera_of_the_longest_focal_length_has_nowhere_longer_to_go(increments):
+    K = increments.base.K.copy()
+    K[0, 0] = K[1, 1] = MAX_FOCAL_PX
+    base = dataclasses.replace(increments.base, K=K)
+    at_end = dataclasses.replace(increments, base=base)
+    assert at_end.limits[6] == 0.0

@@ -1,0 +1,126 @@
+"""The rim of a mesh and the photo's edges."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from photoreg.geometry.camera import Camera
+from photoreg.geometry.mesh import Mesh
+from photoreg.parameters.increments import Increments, PriorScales
+from photoreg.polish.photometric_term import surface_view
+from photoreg.polish.silhouette_term import RimTerm, find_edges, find_rim
+from tests.polish_scene import make_polish_scene
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return make_polish_scene()
+
+
+def test_the_rim_is_where_the_surface_turns_away(scene):
+    view = surface_view(scene.mesh, scene.cameras[0])
+    rim = find_rim(scene.mesh, view, 400)
+    assert len(rim.points) > 200
+    gap = np.abs(scene.cameras[0].project(rim.points) - rim.pixels).max()
+    assert gap < 0.1, gap
+    # A ray just inside meets the mesh, one just outside does not.
+    for shift, expected in ((-0.1, True), (0.1, False)):
+        origin, rays = scene.cameras[0].rays(rim.pixels + shift * rim.normals)
+        faces, _ = scene.mesh.first_hits(np.broadcast_to(origin, rays.shape), rays)
+        share = np.mean((faces >= 0) == expected)
+        assert share > 0.97, (shift, share)
+
+
+def test_a_border_of_the_mesh_is_no_rim():
+    grid = np.stack(np.meshgrid(np.arange(9.0), np.arange(9.0)), -1).reshape(-1, 2)
+    a = (np.arange(8)[:, None] * 9 + np.arange(8)).ravel()
+    faces = np.concatenate(
+        [np.column_stack([a, a + 1, a + 9]), np.column_stack([a + 1, a + 10, a + 9])]
+    )
+    sheet = Mesh(np.column_stack([grid, np.zeros(81)]), faces)
+    camera = Camera.look_at([4, 4, -20], [4, 4, 0], [0, -1, 0], 300, 200, 200)
+    view = surface_view(sheet, camera)
+    assert view.covered.sum() > 1000
+    assert len(find_rim(sheet, view, 200).points) == 0
+
+
+def test_edges_of_the_true_camera_are_on_the_rim(scene):
+    view = surface_view(scene.mesh, scene.cameras[0])
+    rim = find_rim(scene.mesh, view, 400)
+    offset = find_edges(scene.photos[0], view, rim, 6.0).offset_px
+    assert np.isfinite(offset).mean() > 0.8
+    assert abs(np.nanmedian(offset)) < 0.1, np.nanmedian(offset)
+
+
+def test_edges_of_a_shifted_camera_show_the_shift(scene):
+    camera = scene.cameras[0]
+    K = camera.K.copy()
+    K[0, 2] += 4.0
+    view = surface_view(scene.mesh, dataclasses.replace(camera, K=K))
+    rim = find_rim(scene.mesh, view, 400)
+    offset = find_edges(scene.photos[0], view, rim, 10.0).offset_px
+    gap = np.nanmedian(np.abs(offset + 4.0 * rim.normals[:, 0]))
+    assert gap < 0.4, gap
+
+
+@pytest.fixture(scope="module")
+def term_and_x(scene):
+    camera = scene.cameras[0]
+    view = surface_view(scene.mesh, camera)
+    rim = find_rim(scene.mesh, view, 400)
+    edges = find_edges(scene.photos[0], view, rim, 6.0)
+    increments = Increments(camera, scene.mesh.centroid, PriorScales())
+    size = (camera.width, camera.height)
+    term = RimTerm.measured(0, rim, edges, size, increments, 0.5, 0.5)
+    assert term is not None
+    return term, 0.05 * np.random.default_rng(0).normal(size=9)
+
+
+def test_gradient_is_the_finite_difference_of_the_cost(term_and_x):
+    term, x = term_and_x
+    model = term.linearise(x)
+    assert model.cost == pytest.approx(term.linearise(x).cost, rel=1e-12)
+    numeric = np.zeros(9)
+    for j in range(9):
+        step = np.zeros(9)
+        step[j] = 1e-5
+        numeric[j] = (
+            term.linearise(x + step).cost - term.linearise(x - step).cost
+        ) / 2e-5
+    # The offsets end after six passes, not quite at their minimum.
+    gap = np.abs(model.gradient - numeric).max() / np.abs(numeric).max()
+    assert gap < 2e-2, gap
+
+
+def test_normal_matrix_is_symmetric_and_not_negative(term_and_x):
+    term, x = term_and_x
+    normal = term.linearise(x).normal
+    values = np.linalg.eigvalsh(0.5 * (normal + normal.T))
+    assert np.abs(normal - normal.T).max() < 1e-9 * values[-1]
+    assert values[0] > -1e-9 * values[-1], values
+
+
+def test_no_edge_is_found_where_the_photo_does_not_count(scene):
+    view = surface_view(scene.mesh, scene.cameras[0])
+    rim = find_rim(scene.mesh, view, 400)
+    photo = scene.photos[0]
+    middle = photo.width // 2
+    left = np.zeros((photo.height, photo.width), dtype=bool)
+    left[:, :middle] = True
+    edges = find_edges(dataclasses.replace(photo, mask=left), view, rim, 6.0)
+    at = rim.pixels[:, 0] + edges.offset_px * rim.normals[:, 0]
+    assert np.nanmax(at) <= middle + 1.5
+    assert np.isfinite(edges.offset_px[rim.pixels[:, 0] < middle - 10]).mean() > 0.8
+    assert not edges.counts[rim.pixels[:, 0] > middle + 10].any()
+    none = dataclasses.replace(photo, mask=np.zeros_like(left))
+    assert np.isnan(find_edges(none, view, rim, 6.0).offset_px).all()
+
+
+def test_the_rim_of_a_photo_that_is_cut_out_is_found_on_the_border_of_its_mask(scene):
+    view = surface_view(scene.mesh, scene.cameras[0])
+    rim = find_rim(scene.mesh, view, 400)
+    cut = dataclasses.replace(scene.photos[0], mask=view.covered)
+    offset = find_edges(cut, view, rim, 6.0).offset_px
+    assert np.isfinite(offset).mean() > 0.8
+    assert abs(np.nanmedian(offset)) < 0.2, np.nanmedian(offset)
