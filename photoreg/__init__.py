@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from photoreg.formats.cameras.cameras_json import load_cameras as load_cameras
     from photoreg.formats.cameras.cameras_json import save_cameras as save_cameras
     from photoreg.formats.meshes.read import load_mesh as load_mesh
+    from photoreg.formats.photos.read import load_photo as load_photo
     from photoreg.geometry.camera import Camera as Camera
     from photoreg.geometry.mesh import Mesh as Mesh
     from photoreg.geometry.projection_error import projection_error as projection_error
     from photoreg.imaging.photo import Photo as Photo
-    from photoreg.imaging.photo import load_photo as load_photo
     from photoreg.registration.config import RegistrationConfig as RegistrationConfig
     from photoreg.registration.events import Finished as Finished
     from photoreg.registration.events import Progress as Progress
@@ -38,7 +38,7 @@ _MODULES = {
     "Mesh": "photoreg.geometry.mesh",
     "load_mesh": "photoreg.formats.meshes.read",
     "Photo": "photoreg.imaging.photo",
-    "load_photo": "photoreg.imaging.photo",
+    "load_photo": "photoreg.formats.photos.read",
     "Finished": "photoreg.registration.events",
     "Progress": "photoreg.registration.events",
     "RegistrationConfig": "photoreg.registration.config",

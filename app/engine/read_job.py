@@ -33,7 +33,7 @@ from photoreg.formats.cameras.find import find_cameras
 from photoreg.formats.cameras.meshlab import PADDED
 from photoreg.formats.cameras.registry import format_to_read, read_cameras
 from photoreg.formats.meshes.read import load_mesh
-from photoreg.imaging.photo import load_photo
+from photoreg.formats.photos.read import load_photo
 
 log = logging.getLogger(__name__)
 

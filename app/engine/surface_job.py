@@ -13,8 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from app.model.camera_moves import DisplayFrame
+from app.model.messages import SMALL_PX
 from app.model.state import Surface
-from app.web.photo_server import SMALL_PX
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.imaging.photo import Photo

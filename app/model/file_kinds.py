@@ -4,7 +4,7 @@ from pathlib import Path
 
 from photoreg.formats.cameras.find import CAMERA_SUFFIXES
 from photoreg.formats.meshes.read import MESH_SUFFIXES
-from photoreg.imaging.photo_formats import PHOTO_SUFFIXES
+from photoreg.formats.photos.registry import PHOTO_SUFFIXES
 
 MESH, PHOTO, CAMERAS = range(3)
 KINDS = (MESH_SUFFIXES, PHOTO_SUFFIXES, (*CAMERA_SUFFIXES, ".zip"))

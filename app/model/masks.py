@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image
 
 from photoreg.errors import InputError
-from photoreg.imaging.photo_formats import JPEG, PNG, TIFF, WEBP
+from photoreg.formats.photos.registry import JPEG, PNG, TIFF, WEBP
 from photoreg.sources import read_regular
 
 MASK_FORMATS = (PNG, JPEG, TIFF, WEBP)

@@ -411,3 +411,7 @@ ReadingEvent = Reading | Unpacked | Loaded | Failed | ReadAll
 
 Passing = Live | Picture | Measured | SurfaceDrawn
 """Events of which only the newest is worth telling."""
+
+
+SMALL_PX = 768
+"""Longer side of a photo as the object wears it while a run goes on."""

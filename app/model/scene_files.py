@@ -10,8 +10,8 @@ from photoreg.errors import InputError
 from photoreg.formats.cameras.cameras_json import CameraFile, load_cameras
 from photoreg.formats.cameras.registry import read_cameras
 from photoreg.formats.meshes.read import MESH_SUFFIXES, load_mesh
-from photoreg.imaging.photo import load_photo
-from photoreg.imaging.photo_formats import PHOTO_SUFFIXES
+from photoreg.formats.photos.read import load_photo
+from photoreg.formats.photos.registry import PHOTO_SUFFIXES
 
 DISPLAY_FACES = 150_000
 """Faces the page draws at most; WebGL in a browser takes 200,000 with ease."""

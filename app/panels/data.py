@@ -16,7 +16,7 @@ from app.web.controls import guarded, guarded_slow, put, put_value
 from app.web.uploads import too_large
 from app.web.widgets import help_line
 from photoreg.formats.cameras.find import CAMERA_SUFFIXES
-from photoreg.imaging.photo_formats import formats_in_words
+from photoreg.formats.photos.registry import formats_in_words
 from photoreg.limits import Limits
 
 

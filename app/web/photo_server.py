@@ -15,13 +15,12 @@ import cv2
 import numpy as np
 
 from app.model.masks import decode_mask
+from app.model.messages import SMALL_PX
 from app.model.scene_files import static_folder
 from photoreg.imaging.photo import Photo
 
 ROOT = "/photoreg/"
 OVERVIEW_PX = 1600
-SMALL_PX = 768
-"""Longer side of a photo as the object wears it while a run goes on."""
 THUMBNAIL_PX = 160
 """Longer side of a photo in the list of them."""
 SIDES_PX = {"overview": OVERVIEW_PX, "small": SMALL_PX, "thumbnail": THUMBNAIL_PX}

@@ -31,11 +31,12 @@ from photoreg.formats.cameras.registry import photos_by_name, read_cameras
 from photoreg.formats.meshes.read import load_mesh
 from photoreg.formats.models.encode_texture import PictureKind, encode_picture
 from photoreg.formats.models.registry import save_textured, textured_files
+from photoreg.formats.photos.read import load_photo
 from photoreg.formats.writing import check_outputs, check_suffix, write_files
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.projection_error import projection_error
-from photoreg.imaging.photo import Photo, load_photo
+from photoreg.imaging.photo import Photo
 from photoreg.paper.reproduce import Reproduced, reproduce
 from photoreg.parameters.freedom import Freedom
 from photoreg.registration.config import PresetName, RegistrationConfig

@@ -21,7 +21,7 @@ from photoreg.formats.cameras.registry import (
     read_cameras,
     write_cameras,
 )
-from photoreg.imaging.photo_formats import PHOTO_SUFFIXES
+from photoreg.formats.photos.registry import PHOTO_SUFFIXES
 
 _log = rich.console.Console(stderr=True, highlight=False, soft_wrap=True)
 

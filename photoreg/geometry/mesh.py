@@ -258,6 +258,7 @@ class Mesh:
 
 
 def unit_rows(rows: np.ndarray) -> np.ndarray:
+    """Rows (n, 3) at length 1; rows of length 0 as they are."""
     """Rows divided by their length; zero stays zero."""
     lengths = np.linalg.norm(rows, axis=1, keepdims=True)
     return rows / np.where(lengths > 0.0, lengths, 1.0)

@@ -1,18 +1,13 @@
 """A photograph: pixels as displayed, optional mask, and what EXIF knows of the lens."""
 
 import dataclasses
-from pathlib import Path
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from photoreg.checks import check_input_file
 from photoreg.errors import InputError
-from photoreg.imaging.photo_decoding import decode
-from photoreg.limits import Limits
-from photoreg.names import presentable
-from photoreg.sources import SourceFile, source_file
+from photoreg.sources import SourceFile
 from photoreg.words import nfc
 
 MIN_SIDE_PX = 16
@@ -94,32 +89,11 @@ class Photo:
         )
 
 
-def load_photo(path: Path | str, limits: Limits | None = None) -> Photo:
-    """Loads a photo of any format of `photo_formats`, as displayed and in sRGB.
-
-    EXIF orientation and colour profiles are applied; alpha becomes the mask. Of a file
-    with a preview, it is the photo. RAW is developed as `photo_decoding` says.
-
-    Args:
-        path: The file.
-        limits: How large it may be; None: as the environment says.
-
-    Raises:
-        InputError: if the file is missing, empty, not a photo, truncated, too small
-            (under 16 px a side) or too large (by default over 120 megapixels); if it is
-            an animation, of several pages, a panorama or a fisheye, or coded for HDR
-            displays or in colours that are not known.
-    """
-    limits = limits or Limits.of_environment()
-    path = check_input_file(Path(path), "photo", limits.file_mb)
-    decoded = decode(path, limits)
-    focal = decoded.facts.focal
-    return Photo(
-        presentable(path.name),
-        decoded.pixels,
-        decoded.mask,
-        None if focal is None else focal.px,
-        source_file(path),
-        "" if focal is None else focal.note,
-        decoded.facts.is_cropped,
+def resized_mask(photo: Photo, size: tuple[int, int]) -> Bool[np.ndarray, "h w"] | None:
+    """The photo's mask at width and height ``size``; None where all counts."""
+    if photo.mask is None:
+        return None
+    share = cv2.resize(
+        photo.mask.astype(np.float32), size, interpolation=cv2.INTER_AREA
     )
+    return share >= 0.5

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
+from photoreg.geometry.rotations import rotation_matrices, rotation_vectors
 from photoreg.parameters.freedom import Freedom
 from photoreg.words import listed
 
@@ -220,7 +221,7 @@ class GeneMap:
             K[..., 1, 1] *= 1.0 + lens[..., 1 if self.model == "full" else 0]
             if self.model == "full":
                 K[..., 0, 1] += lens[..., 2]
-            R = rotations(turn) @ self._R
+            R = rotation_matrices(turn) @ self._R
             center = -np.einsum("cji,cj->ci", self._R, self._t) + place
             return Poses(K, R, -np.einsum("pcij,pcj->pci", R, center))
         zoom = np.exp(lens[..., 0] + place[..., 0])
@@ -229,7 +230,7 @@ class GeneMap:
         if self.model == "full":
             K[..., 1, 1] *= np.exp(lens[..., 1])
             K[..., 0, 1] += lens[..., 2]
-        R = rotations(turn) @ rotations(self._aim(principal)) @ self._R
+        R = rotation_matrices(turn) @ rotation_matrices(self._aim(principal)) @ self._R
         pixel = self._pivot_pixel + place[..., 1:]
         depth = self._pivot_cam[:, 2] * np.exp(lens[..., 0])
         pivot_cam = np.ones((*values.shape[:2], 3))
@@ -274,7 +275,7 @@ class GeneMap:
             if self.model == "full":
                 lens += [ratio[:, 1:] - 1.0, skew]
         else:
-            aimed = rotations(self._aim(principal)) @ self._R
+            aimed = rotation_matrices(self._aim(principal)) @ self._R
             turn = rotation_vectors(R @ np.swapaxes(aimed, -1, -2))
             pivot_cam = R @ self.pivot + t
             pixel = _pixels(K, pivot_cam)
@@ -403,40 +404,6 @@ class GeneMap:
         values[..., -3:] += np.where(may_move, wanted - along, 0.0)[..., None] * away
         tied = (values / self._widths).reshape(n, -1) @ self._gathered.T
         return np.clip(tied, -1.0, 1.0)
-
-
-def rotations(vectors: Float[np.ndarray, "*batch 3"]) -> np.ndarray:
-    """Rotation matrices (*batch, 3, 3) of rotation vectors in radians (Rodrigues)."""
-    angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    zero = np.zeros_like(x)
-    W = np.stack(
-        [
-            np.stack([zero, -z, y], axis=-1),
-            np.stack([z, zero, -x], axis=-1),
-            np.stack([-y, x, zero], axis=-1),
-        ],
-        axis=-2,
-    )
-    # np.sinc is sin(pi x) / (pi x), and exact at 0.
-    sine = np.sinc(angle / np.pi)
-    half = np.sinc(angle / (2.0 * np.pi))
-    return np.eye(3) + sine * W + 0.5 * half * half * (W @ W)
-
-
-def rotation_vectors(R: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
-    """Rotation vectors in radians; for angles below half a turn."""
-    axis = 0.5 * np.stack(
-        [
-            R[:, 2, 1] - R[:, 1, 2],
-            R[:, 0, 2] - R[:, 2, 0],
-            R[:, 1, 0] - R[:, 0, 1],
-        ],
-        axis=-1,
-    )
-    sine = np.linalg.norm(axis, axis=-1)
-    angle = np.arctan2(sine, 0.5 * (np.trace(R, axis1=1, axis2=2) - 1.0))
-    return axis * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 1.0)[:, None]
 
 
 def _pixels(K: np.ndarray, points_cam: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from photoreg.geometry.camera import MAX_FOCAL_PX, Camera
+from photoreg.geometry.rotations import left_jacobian, rotation_matrix, rotation_vector
 from photoreg.parameters.freedom import NOTHING_HELD, Freedom, Held
 
 N_INCREMENTS = 9
@@ -130,7 +131,7 @@ class Increments:
         """The camera at ``x``."""
         step = np.asarray(x) * self.units
         base = self.base
-        R = rotation(step[:3]) @ base.R_cam_world
+        R = rotation_matrix(step[:3]) @ base.R_cam_world
         pivot_cam = base.R_cam_world @ self.pivot + base.t_cam_world + step[3:6]
         K = base.K.copy()
         K[:2, :2] *= np.exp(step[6])
@@ -208,46 +209,3 @@ def free_directions(
             continue
         columns.append(column)
     return np.column_stack(columns)
-
-
-def rotation(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """The rotation matrix of a rotation vector (Rodrigues)."""
-    angle = float(np.linalg.norm(vector))
-    V = _cross(vector)
-    if angle < 1e-8:
-        return np.eye(3) + V
-    return (
-        np.eye(3)
-        + np.sin(angle) / angle * V
-        + (1.0 - np.cos(angle)) / angle**2 * (V @ V)
-    )
-
-
-def rotation_vector(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
-    """The rotation vector of a rotation matrix of less than half a turn."""
-    axis = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    sine, cosine = float(np.linalg.norm(axis)), 0.5 * (float(np.trace(R)) - 1.0)
-    if sine < 1e-12:
-        return axis
-    return axis * (np.arctan2(sine, cosine) / sine)
-
-
-def left_jacobian(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """J with exp(v + dv) = exp(J dv) exp(v), to first order in dv.
-
-    References:
-        T. Barfoot, "State Estimation for Robotics", equation 7.77.
-    """
-    angle = float(np.linalg.norm(vector))
-    V = _cross(vector)
-    if angle < 1e-6:
-        return np.eye(3) + 0.5 * V
-    return (
-        np.eye(3)
-        + (1.0 - np.cos(angle)) / angle**2 * V
-        + (angle - np.sin(angle)) / angle**3 * (V @ V)
-    )
-
-
-def _cross(v: np.ndarray) -> np.ndarray:
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])

@@ -203,24 +203,6 @@ def sample_cubic(photo, u, v, out):
 
 
 @nb.njit(cache=True, nogil=True)
-def pixel_rays(pixels, K_inverse, R_cam_world):
-    """Directions in world axes of pixels (n, 2), with depth 1 along the camera's z.
-
-    Not parallel: helper threads call it, and only one thread may call what is.
-    """
-    out = np.zeros((len(pixels), 3))
-    for i in range(len(pixels)):
-        u, v = pixels[i, 0], pixels[i, 1]
-        y = K_inverse[1, 1] * v + K_inverse[1, 2]
-        x = K_inverse[0, 0] * u + K_inverse[0, 1] * v + K_inverse[0, 2]
-        for k in range(3):
-            out[i, k] = (
-                R_cam_world[0, k] * x + R_cam_world[1, k] * y + R_cam_world[2, k]
-            )
-    return out
-
-
-@nb.njit(cache=True, nogil=True)
 def rim_rows(geometry, points):
     """Pixels (n, 2) and their derivatives by the increments (n, 2, 9); NaN behind."""
     pixels = np.full((len(points), 2), np.nan)

@@ -14,6 +14,7 @@ import numpy as np
 
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
+from photoreg.geometry.surface_view import SurfaceView, surface_views
 from photoreg.imaging.photo import Photo
 from photoreg.polish.grid_cells import within_cells
 from photoreg.polish.kernels import colours_at
@@ -21,11 +22,9 @@ from photoreg.polish.lighting import fit_light
 from photoreg.polish.photometric_term import (
     EDGE_MARGIN_PX,
     PairPoints,
-    SurfaceView,
     exposure_gain,
     pair_points,
     prepare_photo,
-    surface_views,
 )
 from photoreg.polish.silhouette_term import Rim, find_edges, find_rim
 

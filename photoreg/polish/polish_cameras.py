@@ -11,6 +11,12 @@ from photoreg.errors import InputError, RefinementError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.sampling import sample_surface
+from photoreg.geometry.surface_view import (
+    SurfaceView,
+    camera_rays,
+    surface_view,
+    surface_views,
+)
 from photoreg.imaging.photo import Photo
 from photoreg.parameters.freedom import Freedom
 from photoreg.parameters.increments import (
@@ -25,12 +31,8 @@ from photoreg.polish.photometric_term import (
     EDGE_MARGIN_PX,
     PairPoints,
     PairTerm,
-    SurfaceView,
-    camera_rays,
     pair_points,
     prepare_photo,
-    surface_view,
-    surface_views,
 )
 from photoreg.polish.silhouette_term import (
     OUTLINE_SIGMA_PX,

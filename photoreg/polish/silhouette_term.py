@@ -15,10 +15,11 @@ import dataclasses
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import correlate1d
 
 from photoreg.geometry.mesh import Mesh
-from photoreg.imaging.photo import Photo
+from photoreg.geometry.surface_view import SurfaceView, camera_rays
+from photoreg.imaging.colour_model import colour_model
+from photoreg.imaging.photo import Photo, resized_mask
 from photoreg.parameters.increments import N_INCREMENTS, Increments
 from photoreg.polish.grid_cells import cell_means
 from photoreg.polish.kernels import rim_rows
@@ -28,7 +29,6 @@ from photoreg.polish.levenberg_marquardt import (
     own_end,
     scatter,
 )
-from photoreg.polish.photometric_term import SurfaceView, camera_rays
 
 CUT = 2.0
 """Scale of the Cauchy cost in residual sigmas."""
@@ -121,48 +121,6 @@ def find_rim(mesh: Mesh, view: SurfaceView, n_points: int) -> Rim:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class ColourModel:
-    """How much likelier a colour is inside the object than around it."""
-
-    log_ratio: Float[np.ndarray, "b b b"]
-    """log p(inside) / p(outside) of each bin of red, green and blue, clipped."""
-
-    def of(self, colours: Float[np.ndarray, "*n 3"]) -> np.ndarray:
-        """The log ratio of each colour (0 to 255)."""
-        b = self.log_ratio.shape[0]
-        index = np.clip(colours * (b / 256.0), 0, b - 1).astype(np.int64)
-        return self.log_ratio[index[..., 0], index[..., 1], index[..., 2]]
-
-
-def colour_model(
-    pixels: Float[np.ndarray, "h w 3"],
-    covered: Bool[np.ndarray, "h w"],
-    reach_px: float,
-    counts: Bool[np.ndarray, "h w"] | None = None,
-) -> ColourModel:
-    """Colours inside the object and in a band of ``reach_px`` around it.
-
-    The cover may be off by some pixels: the mistake is in both histograms and only
-    makes them more alike. Only pixels that ``counts`` has are looked at.
-    """
-    bins = 24
-    gap = cv2.distanceTransform((~covered).astype(np.uint8), cv2.DIST_L2, 5)
-    around = ~covered & (gap <= max(2, round(reach_px)))
-    values = np.ascontiguousarray(pixels, dtype=np.float32)
-    histograms = []
-    for region in (covered, around):
-        region = region if counts is None else region & counts
-        smooth = cv2.calcHist(
-            [values], [0, 1, 2], region.astype(np.uint8), [bins] * 3, [0.0, 256.0] * 3
-        ).astype(np.float64)
-        for axis in range(3):
-            smooth = correlate1d(smooth, [0.25, 0.5, 0.25], axis, mode="nearest")
-        histograms.append((smooth + 0.02) / (smooth + 0.02).sum())
-    ratio = np.log(histograms[0] / histograms[1])
-    return ColourModel(np.clip(ratio, -3.0, 3.0))
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
 class RimEdges:
     """For each rim point the photo's edge along its normal."""
 
@@ -236,16 +194,6 @@ def find_edges(photo: Photo, view: SurfaceView, rim: Rim, reach_px: float) -> Ri
     offset = positions[best] + np.clip(fraction, -0.5, 0.5) / half
     shown = view.camera.contains(rim.pixels + offset[:, None] * rim.normals)
     return RimEdges(np.where(peak & shown & counts, offset, np.nan), counts)
-
-
-def resized_mask(photo: Photo, size: tuple[int, int]) -> Bool[np.ndarray, "h w"] | None:
-    """The photo's mask at width and height ``size``; None where all counts."""
-    if photo.mask is None:
-        return None
-    share = cv2.resize(
-        photo.mask.astype(np.float32), size, interpolation=cv2.INTER_AREA
-    )
-    return share >= 0.5
 
 
 def _at(mask: Bool[np.ndarray, "h w"], maps: Float[np.ndarray, "n k 2"]) -> np.ndarray:

@@ -7,9 +7,9 @@ from jaxtyping import Float
 
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
+from photoreg.geometry.surface_view import camera_rays, surface_view
 from photoreg.parameters.increments import N_INCREMENTS, NAMES, Increments
 from photoreg.polish.kernels import rim_rows
-from photoreg.polish.photometric_term import camera_rays, surface_view
 from photoreg.polish.polish_cameras import PolishStep
 from photoreg.words import listed
 

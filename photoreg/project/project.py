@@ -19,9 +19,10 @@ from typing import Any
 
 from photoreg.errors import InputError, OutputError
 from photoreg.formats.meshes.read import load_mesh
+from photoreg.formats.photos.read import load_photo
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
-from photoreg.imaging.photo import Photo, load_photo
+from photoreg.imaging.photo import Photo
 from photoreg.project.files import FileProblem, ProjectFiles
 from photoreg.project.folder import (
     DATABASE,

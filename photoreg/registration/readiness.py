@@ -12,9 +12,9 @@ from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.sampling import SurfaceSamples, sample_surface
+from photoreg.geometry.surface_view import surface_view
 from photoreg.geometry.visibility import visible
 from photoreg.imaging.photo import Photo
-from photoreg.polish.photometric_term import surface_view
 from photoreg.polish.silhouette_term import SEGMENT_POINTS, find_edges, find_rim
 
 N_SAMPLES = 3_000

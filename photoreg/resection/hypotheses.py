@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from photoreg.errors import InputError
+from photoreg.geometry.rotations import rotation_matrices
 from photoreg.resection import pinhole_model
 from photoreg.resection.pinhole_model import Models, Pairs
 
@@ -233,7 +234,7 @@ class Search:
         c = np.broadcast_to(self.pairs.c, (m, 2))
         a = c + f * (shifts[:, :2] / shifts[:, 2:]) @ self.pairs.A.T
         log_s = log_f - np.log(shifts[:, 2])
-        return Models(pinhole_model.turns(vectors), a, log_s, np.full(m, log_f), c)
+        return Models(rotation_matrices(vectors), a, log_s, np.full(m, log_f), c)
 
 
 def _triples(pairs: Pairs, seed: int) -> list[np.ndarray]:

@@ -16,6 +16,8 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
+from photoreg.geometry.rotations import rotation_matrices
+
 N_PARAMETERS = 9
 """Turn (3), a / unit (2), log s, log f, c / unit (2): pose first, then what a few pairs
 leave open."""
@@ -52,7 +54,7 @@ class Models:
         full = np.zeros((len(self), N_PARAMETERS))
         full[:, : steps.shape[1]] = steps
         return Models(
-            turns(full[:, :3]) @ self.R,
+            rotation_matrices(full[:, :3]) @ self.R,
             self.a + unit_px * full[:, 3:5],
             self.log_s + full[:, 5],
             self.log_f + full[:, 6],
@@ -213,17 +215,6 @@ def fit(
         normal = np.where(better[:, None, None], tried_normal, normal)
         damping = np.clip(np.where(better, 0.1 * damping, 10.0 * damping), 1e-9, 1e6)
     return models, cost
-
-
-def turns(vectors: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3 3"]:
-    """Rotations about ``vectors`` by their lengths in radians (Rodrigues)."""
-    x, y, z = vectors.T
-    angle = np.maximum(np.sqrt(x * x + y * y + z * z), 1e-12)[:, None, None]
-    cross = np.zeros((len(vectors), 3, 3))
-    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -z, y, -x
-    cross -= cross.transpose(0, 2, 1)
-    half = np.sin(0.5 * angle) / angle
-    return np.eye(3) + np.sin(angle) / angle * cross + 2.0 * half**2 * (cross @ cross)
 
 
 def _rows(models: Models, row: int) -> np.ndarray:

@@ -10,6 +10,7 @@ from scipy.optimize import leastsq
 from photoreg.checks import check_points, check_rows
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
+from photoreg.geometry.rotations import left_jacobian
 from photoreg.resection import pinhole_model
 from photoreg.resection.hypotheses import Search
 from photoreg.resection.pinhole_model import Models, Pairs
@@ -236,7 +237,7 @@ def _polished(
             _, J = pinhole_model.project_with_derivatives(
                 moved, used.X, used.A, pairs.unit_px
             )
-            by_turn = _left_jacobian(step[:3])
+            by_turn = left_jacobian(step[:3])
             J = J[0].reshape(-1, pinhole_model.N_PARAMETERS)[:, :n_free] / sigma_px
             J[:, :3] = J[:, :3] @ by_turn
             prior_rows = np.zeros((n_free - 6, n_free))
@@ -262,20 +263,6 @@ def _polished(
         if np.sqrt(np.mean(offsets**2)) < EXACT_PX:
             return free
     return model
-
-
-def _left_jacobian(vector: np.ndarray) -> np.ndarray:
-    """How a turn by ``vector`` turns on as the vector grows, in world axes."""
-    angle = float(np.linalg.norm(vector))
-    if angle < 1e-8:
-        return np.eye(3)
-    x, y, z = vector
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return (
-        np.eye(3)
-        + (1.0 - np.cos(angle)) / angle**2 * cross
-        + (angle - np.sin(angle)) / angle**3 * cross @ cross
-    )
 
 
 def _expected_errors(

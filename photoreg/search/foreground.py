@@ -16,10 +16,10 @@ from scipy.ndimage import distance_transform_edt
 
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
-from photoreg.imaging.photo import Photo
+from photoreg.geometry.surface_view import camera_rays, surface_view
+from photoreg.imaging.colour_model import colour_model
+from photoreg.imaging.photo import Photo, resized_mask
 from photoreg.parameters.genes import GeneMap
-from photoreg.polish.photometric_term import camera_rays, surface_view
-from photoreg.polish.silhouette_term import colour_model, resized_mask
 
 SIDE_PX = 512
 """Photos are reduced to this many pixels on the longer side at most."""

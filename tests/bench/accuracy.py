@@ -6,10 +6,11 @@ from typing import Any
 
 from photoreg.formats.cameras.cameras_json import load_cameras
 from photoreg.formats.meshes.read import MESH_SUFFIXES, load_mesh
+from photoreg.formats.photos.read import load_photo
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.projection_error import projection_error
-from photoreg.imaging.photo import Photo, load_photo
+from photoreg.imaging.photo import Photo
 from photoreg.polish.polish_cameras import polish_cameras
 from photoreg.registration.config import RegistrationConfig
 from tests.bench.metrics import Metric, Setting, bench, spread

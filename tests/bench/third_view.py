@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from photoreg.formats.cameras.cameras_json import load_cameras
 from photoreg.formats.meshes.read import load_mesh
+from photoreg.formats.photos.read import load_photo
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
-from photoreg.imaging.photo import load_photo
 from photoreg.registration.refinement import refine
 from photoreg.synthetic.options import SceneOptions
 from photoreg.synthetic.scene import make_scene

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
-from photoreg.parameters.genes import GeneBox, GeneMap, rotation_vectors, rotations
+from photoreg.geometry.rotations import rotation_matrices, rotation_vectors
+from photoreg.parameters.genes import GeneBox, GeneMap
 
 PIVOT = np.array([0.2, -0.1, 0.3])
 KINDS = [
@@ -131,7 +132,7 @@ def test_rotations_are_rotations_and_their_vectors_come_back(seed):
     rng = np.random.default_rng(seed)
     vectors = rng.normal(size=(4, 3)) * rng.choice([1e-9, 0.1, 1.0])
     vectors *= np.minimum(1.0, 3.0 / np.linalg.norm(vectors, axis=1, keepdims=True))
-    R = rotations(vectors)
+    R = rotation_matrices(vectors)
     np.testing.assert_allclose(
         R @ np.swapaxes(R, 1, 2), np.eye(3)[None] + 0 * R, atol=1e-12
     )

@@ -7,12 +7,8 @@ import numpy as np
 import pytest
 
 from photoreg.geometry.camera import MAX_FOCAL_PX, Camera
-from photoreg.parameters.increments import (
-    Increments,
-    PriorScales,
-    rotation,
-    rotation_vector,
-)
+from photoreg.geometry.rotations import rotation_matrix, rotation_vector
+from photoreg.parameters.increments import Increments, PriorScales
 from photoreg.polish.kernels import rim_rows
 
 
@@ -20,7 +16,11 @@ from photoreg.polish.kernels import rim_rows
 def increments():
     K = np.array([[900.0, 1.5, 310.0], [0.0, 880.0, 260.0], [0.0, 0.0, 1.0]])
     base = Camera(
-        K, rotation(np.array([0.3, -0.5, 0.2])), np.array([0.2, -0.1, 6.0]), 640, 480
+        K,
+        rotation_matrix(np.array([0.3, -0.5, 0.2])),
+        np.array([0.2, -0.1, 6.0]),
+        640,
+        480,
     )
     return Increments(base, np.array([0.1, 0.2, -0.3]), PriorScales())
 
@@ -47,7 +47,7 @@ def test_rotation_leaves_the_pivot_where_it_is(increments):
 def test_rotation_vector_inverts_rotation_also_near_zero():
     for size in (1e-10, 1e-5, 0.1, 3.0):
         vector = size * np.array([0.6, -0.3, 0.74162])
-        gap = np.abs(rotation_vector(rotation(vector)) - vector).max()
+        gap = np.abs(rotation_vector(rotation_matrix(vector)) - vector).max()
         assert gap < 1e-9, (size, gap)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from photoreg.errors import InputError, RefinementError
-from photoreg.parameters.increments import rotation
+from photoreg.geometry.rotations import rotation_matrix
 from photoreg.polish.polish_cameras import PolishConfig, polish_cameras
 from photoreg.polish.uncertainty import estimate_uncertainty, undetermined_directions
 from photoreg.synthetic.rough_cameras import rough_start
@@ -101,7 +101,7 @@ def test_the_same_seed_gives_the_same_answer(scene, steps):
 
 
 def test_units_and_axes_of_the_world_change_nothing(scene, steps):
-    R = rotation(np.array([0.4, -1.0, 0.7]))
+    R = rotation_matrix(np.array([0.4, -1.0, 0.7]))
     # Metres as micrometres, far from the origin.
     other = moved(scene, 1e6, R, np.array([3e6, -2e6, 5e6]))
     last = polished(other)[-1]
@@ -137,7 +137,7 @@ def test_three_photos_are_polished_together():
 
 def test_a_camera_that_looks_away_is_named(scene):
     camera = scene.rough[1]
-    turn = rotation(np.array([0.0, 3.0, 0.0]))
+    turn = rotation_matrix(np.array([0.0, 3.0, 0.0]))
     away = dataclasses.replace(
         camera,
         R_cam_world=turn @ camera.R_cam_world,

@@ -20,7 +20,7 @@ from app.page.main import open_project
 from photoreg.__main__ import app_command
 from photoreg.cli import commands
 from photoreg.errors import InputError, OutputError
-from photoreg.imaging.photo import load_photo
+from photoreg.formats.photos.read import load_photo
 from photoreg.project.folder import DATABASE, LOCK, FolderInUseError
 from photoreg.project.project import Project
 from photoreg.project.schema import APPLICATION_ID, MIGRATIONS

@@ -17,8 +17,8 @@ from app.model.state import Document, PhotoEntry, same_camera
 from photoreg.errors import InputError, OutputError
 from photoreg.formats.meshes.read import load_mesh
 from photoreg.formats.models.ply import save_mesh
+from photoreg.formats.photos.read import load_photo
 from photoreg.geometry.camera import Camera
-from photoreg.imaging.photo import load_photo
 from photoreg.project import schema
 from photoreg.project.files import keep_file, plain_name
 from photoreg.project.folder import DATABASE

@@ -7,8 +7,8 @@ import pytest
 
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
+from photoreg.geometry.surface_view import surface_view
 from photoreg.imaging.photo import Photo
-from photoreg.polish.photometric_term import surface_view
 from photoreg.registration.readiness import check_readiness
 from photoreg.registration.refinement import refine
 from photoreg.synthetic.options import SceneOptions

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
+from photoreg.geometry.rotations import rotation_matrices
 from photoreg.resection import pinhole_model
 from photoreg.resection.solver import (
     CLICK_SIGMA_PX,
@@ -381,7 +382,7 @@ def test_the_models_derivatives_are_its_differences():
     rng = np.random.default_rng(18)
     m = 5
     models = pinhole_model.Models(
-        pinhole_model.turns(rng.normal(size=(m, 3))),
+        rotation_matrices(rng.normal(size=(m, 3))),
         rng.uniform(300.0, 600.0, (m, 2)),
         np.log(rng.uniform(100.0, 400.0, m)),
         np.log(rng.uniform(900.0, 2000.0, m)),

@@ -42,7 +42,7 @@ from app.model.state import PointPair, State
 from app.page.main import open_project
 from app.page.server import Page
 from photoreg.errors import PhotoregError
-from photoreg.imaging.photo import load_photo
+from photoreg.formats.photos.read import load_photo
 from photoreg.project.project import Project
 from photoreg.synthetic.options import SceneOptions
 from photoreg.synthetic.scene import make_scene, write_scene

@@ -10,9 +10,10 @@ from app.engine.read_job import Packed
 from photoreg.formats.archives import unzipped
 from photoreg.formats.cameras.registry import read_cameras
 from photoreg.formats.meshes.read import MESH_SUFFIXES, load_mesh
+from photoreg.formats.photos.read import load_photo
+from photoreg.formats.photos.registry import PHOTO_SUFFIXES
 from photoreg.geometry.mesh import Mesh
-from photoreg.imaging.photo import Photo, load_photo
-from photoreg.imaging.photo_formats import PHOTO_SUFFIXES
+from photoreg.imaging.photo import Photo
 from photoreg.limits import Limits
 
 LIMITS = Limits(

@@ -14,7 +14,7 @@ from app.model.session import Session
 from app.model.state import Document, PhotoEntry, State
 from photoreg.errors import InputError
 from photoreg.formats.cameras.registry import photos_by_name
-from photoreg.imaging.photo import load_photo
+from photoreg.formats.photos.read import load_photo
 from photoreg.names import path_of, presentable, stored_path
 from tests.robustness.lying_photos import png
 

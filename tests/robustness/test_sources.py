@@ -15,7 +15,7 @@ from photoreg.formats.archives import unzipped
 from photoreg.formats.cameras.find import find_cameras
 from photoreg.formats.cameras.registry import read_cameras
 from photoreg.formats.meshes.read import load_mesh
-from photoreg.imaging.photo import load_photo
+from photoreg.formats.photos.read import load_photo
 from photoreg.project.project import Project
 from photoreg.sources import open_for_reading, read_regular, source_file
 from tests.robustness import lying_meshes

@@ -11,10 +11,10 @@ import pytest
 from photoreg.errors import InputError, OutputError
 from photoreg.formats.cameras.cameras_json import load_cameras
 from photoreg.formats.meshes.read import load_mesh
+from photoreg.formats.photos.read import load_photo
 from photoreg.geometry.projection_error import projection_error
 from photoreg.geometry.sampling import sample_surface
 from photoreg.geometry.visibility import visible
-from photoreg.imaging.photo import load_photo
 from photoreg.synthetic.options import SceneOptions
 from photoreg.synthetic.render import decode_srgb, encode_srgb
 from photoreg.synthetic.scene import Scene, make_scene, write_scene

@@ -42,9 +42,9 @@ from photoreg.formats.parsing import (
     size_px,
 )
 from photoreg.formats.photos.files import displayed_size, is_turned, path_from
+from photoreg.formats.photos.read import load_photo
 from photoreg.formats.writing import Content, write_files
 from photoreg.geometry.camera import Camera
-from photoreg.imaging.photo import load_photo
 from photoreg.limits import Limits
 
 SMALL_SHIFT_PX = 0.05

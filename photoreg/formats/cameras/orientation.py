@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Float
 
 from photoreg.errors import InputError
+from photoreg.formats.photos.decoding import PhotoHeader
 from photoreg.formats.photos.files import photo_header
 from photoreg.geometry.camera import Camera
-from photoreg.imaging.photo_decoding import PhotoHeader
 
 PROPER = (1, 3, 6, 8)
 """EXIF orientations that turn; the others mirror, which no camera does."""

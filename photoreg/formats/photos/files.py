@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from photoreg.checks import check_input_file
-from photoreg.imaging.photo_decoding import PhotoHeader, read_header
-from photoreg.imaging.photo_formats import is_photo
+from photoreg.formats.photos.decoding import PhotoHeader, read_header
+from photoreg.formats.photos.registry import is_photo
 from photoreg.words import nfc
 
 

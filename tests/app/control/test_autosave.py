@@ -23,7 +23,7 @@ from app.model.session import Session, select, setting, with_document, with_entr
 from app.model.state import ModelChoice, PointPair, State
 from app.page.main import open_project
 from photoreg.errors import InputError, OutputError
-from photoreg.imaging.photo import load_photo
+from photoreg.formats.photos.read import load_photo
 from photoreg.project.project import Project
 from photoreg.registration.config import RegistrationConfig
 

@@ -8,7 +8,8 @@ import numpy as np
 from app.engine.surface_job import LiveSurface
 from app.engine.warm_up import toy_scene
 from app.model.camera_moves import DisplayFrame
-from app.web.photo_server import SMALL_PX, Pictures
+from app.model.messages import SMALL_PX
+from app.web.photo_server import Pictures
 from photoreg.imaging.photo import Photo
 
 COMPONENTS = {5126: "<f4", 5125: "<u4", 5123: "<u2"}

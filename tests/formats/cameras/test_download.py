@@ -14,7 +14,8 @@ from photoreg.formats.cameras.camera_set import largest_shift_px
 from photoreg.formats.cameras.download import PLACES, cameras_download
 from photoreg.formats.cameras.find import find_cameras
 from photoreg.formats.cameras.registry import CAMERA_FORMATS, read_cameras
-from photoreg.imaging.photo import Photo, load_photo
+from photoreg.formats.photos.read import load_photo
+from photoreg.imaging.photo import Photo
 from tests.formats.camera_files import camera_set, general_cameras
 
 READABLE = [name for name, f in CAMERA_FORMATS.items() if f.load is not None]

@@ -21,8 +21,9 @@ from photoreg.formats.cameras.registry import (
     read_cameras,
     write_cameras,
 )
+from photoreg.formats.photos.read import load_photo
 from photoreg.geometry.camera import Camera
-from photoreg.imaging.photo import Photo, load_photo
+from photoreg.imaging.photo import Photo
 from tests.formats.camera_files import PLACES
 
 READABLE = [name for name, f in CAMERA_FORMATS.items() if f.load is not None]

@@ -11,7 +11,7 @@ from PIL import Image, ImageCms
 from skimage.color import deltaE_ciede2000, rgb2lab
 
 from photoreg.errors import InputError
-from photoreg.imaging.photo import load_photo
+from photoreg.formats.photos.read import load_photo
 from tests.formats.photo_files import (
     ADOBE_RGB,
     D50,

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 from PIL import Image
 
-from photoreg.imaging.exif import PhotoFacts, facts_of
+from photoreg.formats.photos.exif import PhotoFacts, facts_of
 
 NAMES = {
     "mm": 0x920A,

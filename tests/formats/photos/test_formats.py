@@ -12,9 +12,9 @@ import tifffile
 from PIL import Image, ImageOps
 
 from photoreg.errors import InputError
-from photoreg.imaging.photo import load_photo
-from photoreg.imaging.photo_decoding import read_header
-from photoreg.imaging.photo_formats import PHOTO_FORMATS, PHOTO_SUFFIXES
+from photoreg.formats.photos.decoding import read_header
+from photoreg.formats.photos.read import load_photo
+from photoreg.formats.photos.registry import PHOTO_FORMATS, PHOTO_SUFFIXES
 from photoreg.limits import Limits
 from tests.formats.photo_files import write_dng
 

@@ -3,7 +3,8 @@ import pytest
 from PIL import Image
 
 from photoreg.errors import InputError
-from photoreg.imaging.photo import Photo, load_photo
+from photoreg.formats.photos.read import load_photo
+from photoreg.imaging.photo import Photo
 
 
 def gradient(width=48, height=32) -> np.ndarray:

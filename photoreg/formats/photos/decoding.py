@@ -19,16 +19,16 @@ from jaxtyping import Bool, UInt8
 from PIL import Image, UnidentifiedImageError
 
 from photoreg.errors import InputError
-from photoreg.imaging.colour_profiles import (
+from photoreg.formats.photos.chunks import heif_colours, jxl_header, png_chunks
+from photoreg.formats.photos.colour_profiles import (
     ADOBE_RGB,
     CodedColours,
     colours_of_h273,
     colours_of_png,
     converter,
 )
-from photoreg.imaging.exif import PhotoFacts, facts_of, is_turned_by
-from photoreg.imaging.photo_chunks import heif_colours, jxl_header, png_chunks
-from photoreg.imaging.photo_formats import (
+from photoreg.formats.photos.exif import PhotoFacts, facts_of, is_turned_by
+from photoreg.formats.photos.registry import (
     AVIF,
     HEIF,
     JPEG,
