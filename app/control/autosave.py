@@ -16,11 +16,10 @@ from typing import Any
 
 from app.control.run_store import RunStore
 from app.model.run import Run
-from app.model.session import Session, Step, setting
+from app.model.session import Session, UndoStep, setting
 from app.model.state import Document, State
 from photoreg.errors import InputError, OutputError, PhotoregError
-from photoreg.project.project import Project
-from photoreg.project.project import Step as StoredStep
+from photoreg.project.project import Project, StoredStep
 
 log = logging.getLogger(__name__)
 
@@ -104,7 +103,7 @@ class Autosave:
         self._closed = False
         self._run_written_at = 0.0
         self._first = 0
-        self._written: list[Step] = []
+        self._written: list[UndoStep] = []
         self._written_now = -1
         self._thread = threading.Thread(
             target=self._write_on, daemon=True, name="autosave"
@@ -123,7 +122,7 @@ class Autosave:
         if not steps:
             return None
         self._first = first
-        self._written = [Step(step.name, step.document) for step in steps]
+        self._written = [UndoStep(step.name, step.document) for step in steps]
         self._written_now = now - first
         run = self.project.read_setting("run", Run())
         runs = self.project.read_setting("runs", ())
@@ -305,11 +304,11 @@ class Autosave:
         return changed
 
 
-def _find(written: list[Step], document: object) -> int | None:
+def _find(written: list[UndoStep], document: object) -> int | None:
     return next((i for i, s in enumerate(written) if s.document is document), None)
 
 
-def _same(a: Step, b: Step) -> bool:
+def _same(a: UndoStep, b: UndoStep) -> bool:
     return a.document is b.document and a.name == b.name
 
 

@@ -4,7 +4,7 @@ import threading
 import time
 
 
-class Hands:
+class CameraClaims:
     """Cameras in the hands of browsers. Safe to call from any thread."""
 
     def __init__(self) -> None:

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from app.control.file_intake import Intake
+from app.control.file_intake import FileIntake
 from app.control.projects import Projects
-from app.control.resection_solver import Solver
-from app.control.run_control import Refinement, must_be_idle
+from app.control.resection_solver import ResectionSolver
+from app.control.run_control import RunControl, must_be_idle
 from app.engine.client import Worker
 from app.model import reducers
 from app.model import session as rules
@@ -26,6 +26,7 @@ from app.model.messages import (
     Checked,
     Compared,
     Died,
+    Download,
     DrawOverlay,
     Event,
     Failed,
@@ -33,7 +34,6 @@ from app.model.messages import (
     Measured,
     MeasureReach,
     Pack,
-    Packed,
     Picture,
     Reached,
     Ready,
@@ -58,7 +58,7 @@ from app.model.wanted_pictures import (
     wanted_reach,
     wanted_view,
 )
-from app.web.photo_server import Pictures
+from app.web.photo_server import PhotoServer
 from photoreg.errors import InputError
 from photoreg.formats.cameras.download import CamerasDownload, cameras_download
 
@@ -70,7 +70,7 @@ Deliver = Callable[[str, bytes], None]
 """Takes a file's name and content, for the person who asked for it."""
 
 
-class Conductor:
+class Controller:
     """What the app can do for its user beyond changing a value."""
 
     def __init__(
@@ -78,7 +78,7 @@ class Conductor:
     ) -> None:
         self.session = session
         self.projects = projects if projects is not None else Projects(session)
-        self.pictures = Pictures()
+        self.pictures = PhotoServer()
         """What pages fetch."""
         self.picture: bytes | None = None
         """The newest overlay, a JPEG file; of a blink the photo whose turn it is."""
@@ -101,9 +101,9 @@ class Conductor:
         # One lock for both: listeners run under the session's.
         self._lock = session.lock
         self.worker = Worker(self._hear, warm_up)
-        self.refinement = Refinement(session, self.worker, self._send_scene)
-        self.solver = Solver(session, self._fail)
-        self.intake = Intake(
+        self.refinement = RunControl(session, self.worker, self._send_scene)
+        self.solver = ResectionSolver(session, self._fail)
+        self.intake = FileIntake(
             session,
             lambda: must_be_idle(session.state),
             self._tell,
@@ -256,7 +256,7 @@ class Conductor:
                 self._set(job=None, texture=event.texture, note="The texture is ready.")
             case BakingStopped():
                 self._set(job=None, note="Stopped; the texture is as it was.")
-            case Packed():
+            case Download():
                 self._set(job=None)
                 self._deliver(event.name, event.content)
             case Failed():

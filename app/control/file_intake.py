@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from app.engine.read_job import Packed, Reader, Wanted
+from app.engine.read_job import Reader, ReadRequest, UnpackRequest
 from app.model import reducers
 from app.model.file_kinds import CAMERAS, KINDS, MESH, PHOTO, is_zip, kind_of
 from app.model.messages import (
@@ -77,7 +77,7 @@ class Batch:
         return state
 
 
-class Intake:
+class FileIntake:
     """Takes files in batches; opens each batch when it is complete.
 
     Until then nothing changes, so that what is cancelled leaves no trace.
@@ -212,7 +212,7 @@ class Intake:
     ) -> None:
         """Takes what is wanted out of zips, and reads it together with ``found``."""
         document = self._session.state.document
-        packed = Packed(
+        packed = UnpackRequest(
             tuple(archives),
             self._cameras,
             frozenset(entry.name for entry in document.photos)
@@ -243,7 +243,7 @@ class Intake:
         if not batch.begins_anew:
             photos |= photo_files(self._session.state.document)
         has_cameras = any(kind_of(path) == CAMERAS for path in found)
-        wanted = Wanted(
+        wanted = ReadRequest(
             tuple(sorted((p for p in found if kind_of(p) < CAMERAS), key=kind_of)),
             self._cameras if has_cameras else None,
             photos,
@@ -253,7 +253,7 @@ class Intake:
     def _begin(
         self,
         batch: Batch,
-        wanted: Wanted | Packed,
+        wanted: ReadRequest | UnpackRequest,
         then: Callable[[Sequence[Path]], None] | None,
     ) -> None:
         self._batch = batch

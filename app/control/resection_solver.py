@@ -23,7 +23,7 @@ SURFACE_POINTS = 400
 """Vertices over which the error is foretold."""
 
 
-class Wanted(NamedTuple):
+class WantedCamera(NamedTuple):
     """A camera that shall stand where its pairs say."""
 
     photo: str
@@ -31,7 +31,7 @@ class Wanted(NamedTuple):
     gesture: Hashable
 
 
-class Solver:
+class ResectionSolver:
     """Keeps ``State.solution`` that of the selected photo's pairs."""
 
     def __init__(
@@ -45,7 +45,7 @@ class Solver:
         self._wake = threading.Event()
         self._closed = False
         self._lock = threading.Lock()
-        self._wanted: Wanted | None = None
+        self._wanted: WantedCamera | None = None
         self._leave = session.listen(self._follow)
         self._thread = threading.Thread(target=self._run, daemon=True, name="solver")
         self._thread.start()
@@ -67,7 +67,7 @@ class Solver:
             gesture: That of the click which asked for it; both are one undo step.
         """
         with self._lock:
-            self._wanted = Wanted(photo, step, gesture)
+            self._wanted = WantedCamera(photo, step, gesture)
         self._wake.set()
 
     def _follow(self, old: State, new: State) -> None:
@@ -110,7 +110,7 @@ class Solver:
             if wanted is not None and wanted.photo in solutions:
                 self._place(solutions[wanted.photo], wanted)
 
-    def _place(self, solution: Solution, wanted: Wanted) -> None:
+    def _place(self, solution: Solution, wanted: WantedCamera) -> None:
         state = self._session.state
         if solution.resection is None or state.run.status != "idle":
             return

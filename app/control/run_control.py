@@ -15,7 +15,7 @@ from app.model.wanted_pictures import wanted_view
 from photoreg.errors import RefinementError
 
 
-class Refinement:
+class RunControl:
     """Runs of the document that is open, one at a time."""
 
     def __init__(

@@ -4,7 +4,7 @@ import copy
 
 from app.model.run import KeptSearch, Run
 from app.model.state import State
-from photoreg.project.runs import Generation, ProjectRuns
+from photoreg.project.runs import ProjectRuns, StoredGeneration
 
 
 class RunStore:
@@ -69,7 +69,7 @@ class RunStore:
         new = [point for point in run.curve if point.step > self._step]
         if new:
             self._runs.add_generations(
-                self._id, [Generation(p.step, p.best, p.median) for p in new]
+                self._id, [StoredGeneration(p.step, p.best, p.median) for p in new]
             )
         if run.curve:
             self._step = run.curve[-1].step

@@ -23,7 +23,7 @@ MIN_COMMON = 20
 """Fewer points in common tell nothing."""
 
 
-class Judge:
+class AgreementMeter:
     """Measures cameras of one scene; what does not change is prepared once.
 
     It runs numba's parallel kernels: only the worker's main thread may ask it.

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from app.model.camera_moves import DisplayFrame
-from app.model.messages import Baked, Packed, Working
+from app.model.messages import Baked, Download, Working
 from app.model.state import ModelChoice, Texture
 from photoreg.errors import InputError
 from photoreg.formats.models.registry import textured_download
@@ -28,7 +28,7 @@ COVERAGE_SIDE_PX = 560
 """Twice the width of the panel, for screens of fine pixels."""
 
 
-class Baker:
+class BakeJob:
     """Bakes textures; keeps the last, and the charts of the mesh, which take longest."""
 
     def __init__(self) -> None:
@@ -62,7 +62,7 @@ class Baker:
                 self._textured = step
                 yield Baked(_texture(step, photos, cameras, config))
 
-    def pack(self, choice: ModelChoice) -> Packed:
+    def pack(self, choice: ModelChoice) -> Download:
         """The model made last as one file for download.
 
         Raises:
@@ -76,7 +76,7 @@ class Baker:
         at_vertices = choice.format == "coloured ply"
         suffix = ".ply" if at_vertices else f".{choice.format}"
         name = f"{Path(textured.mesh.name).stem or 'model'}{suffix}"
-        return Packed(*textured_download(name, textured, at_vertices, choice.picture))
+        return Download(*textured_download(name, textured, at_vertices, choice.picture))
 
 
 def _texture(

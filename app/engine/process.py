@@ -9,10 +9,10 @@ import traceback
 from collections.abc import Iterator
 from multiprocessing.connection import Connection
 
-from app.engine.agreement_meter import Judge
-from app.engine.bake_job import Baker
+from app.engine.agreement_meter import AgreementMeter
+from app.engine.bake_job import BakeJob
 from app.engine.overlay_job import Drawing, Painter
-from app.engine.refine_job import Preparation, Refining
+from app.engine.refine_job import Preparation, RefineJob
 from app.engine.warm_up import warm_up_steps
 from app.model.durations import measure_speed
 from app.model.masks import decode_mask
@@ -77,9 +77,9 @@ class WorkerProcess:
         self._photos: tuple[Photo, ...] = ()
         self._addresses: tuple[str, ...] = ()
         self._drawing: Drawing | None = None
-        self._judge: Judge | None = None
+        self._agreement_meter: AgreementMeter | None = None
         self._painter = Painter(self._send)
-        self._baker = Baker()
+        self._baker = BakeJob()
         self._unchecked: tuple[Camera, ...] | None = None
         self._unreached: tuple[Camera, ...] | None = None
         self._cameras: tuple[Camera, ...] | None = None
@@ -165,7 +165,7 @@ class WorkerProcess:
 
     def _begin_anew(self) -> None:
         """Drops what was made of the scene as it was."""
-        self._drawing = self._judge = None
+        self._drawing = self._agreement_meter = None
         self._unchecked = self._possible = None
         self._cameras = self._unreached = None
         self._is_timed = False
@@ -187,9 +187,9 @@ class WorkerProcess:
         return self._drawing
 
     def _measure(self, cameras: tuple[Camera, ...]) -> None:
-        if self._judge is None:
-            self._judge = Judge(self._scene_mesh(), self._photos)
-        self._send(Measured(self._judge.agreement(cameras)))
+        if self._agreement_meter is None:
+            self._agreement_meter = AgreementMeter(self._scene_mesh(), self._photos)
+        self._send(Measured(self._agreement_meter.agreement(cameras)))
 
     def _scene_mesh(self) -> Mesh:
         if self._mesh is None:
@@ -197,7 +197,7 @@ class WorkerProcess:
         return self._mesh
 
     def _refine(self, job: Refine) -> None:
-        work = Refining(
+        work = RefineJob(
             job,
             self._scene_mesh(),
             self._photos,

@@ -42,7 +42,7 @@ PARSED = 0.6
 
 
 @dataclasses.dataclass(frozen=True)
-class Wanted:
+class ReadRequest:
     """What is read together."""
 
     paths: tuple[Path, ...]
@@ -54,7 +54,7 @@ class Wanted:
 
 
 @dataclasses.dataclass(frozen=True)
-class Packed:
+class UnpackRequest:
     """Zips, out of which come cameras, and the mesh and photos that are not there."""
 
     archives: tuple[Path, ...]
@@ -88,7 +88,9 @@ class Reader:
             self._start()
 
     def read(
-        self, wanted: Wanted | Packed, on_event: Callable[[ReadingEvent], None]
+        self,
+        wanted: ReadRequest | UnpackRequest,
+        on_event: Callable[[ReadingEvent], None],
     ) -> None:
         """Starts to read or unpack; returns at once. The last event is ``ReadAll``.
 
@@ -122,7 +124,7 @@ class Reader:
 def _pump(
     process: BaseProcess,
     connection: Connection,
-    wanted: Wanted | Packed,
+    wanted: ReadRequest | UnpackRequest,
     on_event: Callable[[ReadingEvent], None],
 ) -> None:
     at = ""
@@ -153,14 +155,14 @@ def _serve(connection: Connection) -> None:
     try:
         while True:
             wanted = connection.recv()
-            unpacks = isinstance(wanted, Packed)
+            unpacks = isinstance(wanted, UnpackRequest)
             for event in _unpack(wanted) if unpacks else _read(wanted):
                 connection.send(event)
     except (EOFError, OSError):
         return  # The app is gone.
 
 
-def _read(wanted: Wanted) -> Iterator[ReadingEvent]:
+def _read(wanted: ReadRequest) -> Iterator[ReadingEvent]:
     places = [*wanted.paths, *([wanted.cameras] if wanted.cameras else [])]
     sizes = [max(_size(place), 1) for place in places]
     for i, place in enumerate(places):
@@ -184,7 +186,7 @@ def _read(wanted: Wanted) -> Iterator[ReadingEvent]:
     yield ReadAll(complete=True)
 
 
-def _unpack(packed: Packed) -> Iterator[ReadingEvent]:
+def _unpack(packed: UnpackRequest) -> Iterator[ReadingEvent]:
     for i, archive in enumerate(packed.archives):
         yield Reading(f"Unpacking {archive.name}", i / len(packed.archives))
         folder = packed.folder / archive.stem

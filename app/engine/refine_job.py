@@ -100,7 +100,7 @@ def _is_identical(a: Camera, b: Camera) -> bool:
     )
 
 
-class Refining:
+class RefineJob:
     """A refinement and what is told of it meanwhile."""
 
     def __init__(

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 
-from app.engine.agreement_meter import Judge
+from app.engine.agreement_meter import AgreementMeter
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.projection_error import projection_error
@@ -41,7 +41,7 @@ def warm_up_steps() -> Iterator[str]:
     overlay = LiveOverlay(mesh, photos, WIDTH)
     overlay.picture(cameras, 0, 1)
     yield "overlay"
-    Judge(mesh, photos).agreement(cameras)
+    AgreementMeter(mesh, photos).agreement(cameras)
     yield "judge"
     projection_error(mesh, cameras, cameras, n_samples=200)
     yield "error"

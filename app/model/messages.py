@@ -345,7 +345,7 @@ class BakingStopped:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Packed:
+class Download:
     """A file for download."""
 
     name: str
@@ -401,7 +401,7 @@ Event = (
     | Working
     | Baked
     | BakingStopped
-    | Packed
+    | Download
     | Failed
     | Died
 )

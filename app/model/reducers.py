@@ -16,7 +16,7 @@ from app.model.messages import (
     Working,
 )
 from app.model.run import CurvePoint, Run
-from app.model.scene_files import listed, with_cameras
+from app.model.scene_files import first_names, with_cameras_of_file
 from app.model.state import Document, Job, State, same_camera
 from photoreg.geometry.camera import Camera
 
@@ -58,14 +58,14 @@ def with_loaded_cameras(state: State, event: CamerasLoaded) -> State:
         InputError: if they are not for these photos.
     """
     name, file = event.name, event.file
-    document = with_cameras(state.document, file, name)
+    document = with_cameras_of_file(state.document, file, name)
     names = [entry.name for entry in document.photos]
     lacking = [name for name in names if file.of_photo(name) is None]
     note = f"The cameras are those of {name}."
     if lacking:
         note = (
             f"{name} has cameras for {len(names) - len(lacking)} of {len(names)} photos; "
-            f"{listed(lacking)} kept the old ones."
+            f"{first_names(lacking)} kept the old ones."
         )
     note = " ".join([note, *file.notes])
     return dataclasses.replace(state, document=document, note=note)

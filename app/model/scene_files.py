@@ -112,7 +112,7 @@ def with_camera_file(document: Document, path: Path) -> Document:
         InputError: if they cannot be read, or do not go with the photos.
     """
     file = read_cameras(path, photos=photo_files(document))
-    return with_cameras(document, file, path.name)
+    return with_cameras_of_file(document, file, path.name)
 
 
 def photo_files(document: Document) -> dict[str, Path]:
@@ -124,7 +124,7 @@ def photo_files(document: Document) -> dict[str, Path]:
     }
 
 
-def with_cameras(document: Document, file: CameraFile, name: str) -> Document:
+def with_cameras_of_file(document: Document, file: CameraFile, name: str) -> Document:
     """The document with cameras that were read, matched by photo name.
 
     Photos that the file does not have keep their cameras.
@@ -140,14 +140,14 @@ def with_cameras(document: Document, file: CameraFile, name: str) -> Document:
     """
     if not document.photos:
         raise InputError(
-            f"{name} has cameras for {listed(file.cameras)}. Open these photos first, "
+            f"{name} has cameras for {first_names(file.cameras)}. Open these photos first, "
             "or together with it: cameras are matched to photos by file name."
         )
     known = [entry for entry in document.photos if file.of_photo(entry.name)]
     if not known:
         raise InputError(
-            f"{name} has cameras for {listed(file.cameras)}, but the photos are "
-            f"{listed(entry.name for entry in document.photos)}. Photos are matched by "
+            f"{name} has cameras for {first_names(file.cameras)}, but the photos are "
+            f"{first_names(entry.name for entry in document.photos)}. Photos are matched by "
             "file name; rename them in the list above."
         )
     cameras = file.of_photos([entry.photo for entry in known])
@@ -162,7 +162,7 @@ def with_cameras(document: Document, file: CameraFile, name: str) -> Document:
     )
 
 
-def listed(names: Iterable[str], most: int = 5) -> str:
+def first_names(names: Iterable[str], most: int = 5) -> str:
     """The first names, and how many more there are."""
     known = list(names)
     more = f" and {len(known) - most} more" if len(known) > most else ""

@@ -23,7 +23,7 @@ Change = Callable[[State], State]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Step:
+class UndoStep:
     """The document after a step of the history."""
 
     name: str | None
@@ -108,24 +108,24 @@ class Session:
         """Does the step taken back again; returns its name, None if there is none."""
         return self._travel(self._future, self._past)
 
-    def history(self) -> tuple[list[Step], int]:
+    def history(self) -> tuple[list[UndoStep], int]:
         """All steps that undo and redo reach, and which of them is in force."""
         with self.lock:
             steps, name = [], None
             for following, document in self._past:
-                steps.append(Step(name, document))
+                steps.append(UndoStep(name, document))
                 name = following
-            steps.append(Step(name, self._state.document))
-            steps += [Step(*ahead) for ahead in reversed(self._future)]
+            steps.append(UndoStep(name, self._state.document))
+            steps += [UndoStep(*ahead) for ahead in reversed(self._future)]
             return steps, len(self._past)
 
     def begin(self, document: Document) -> None:
         """Begins anew with a document; nothing can be undone."""
-        self.restore([Step(None, document)], 0)
+        self.restore([UndoStep(None, document)], 0)
 
     def restore(
         self,
-        steps: Sequence[Step],
+        steps: Sequence[UndoStep],
         now: int,
         choices: Mapping[str, Any] | None = None,
         run: Run | None = None,

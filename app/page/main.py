@@ -11,13 +11,13 @@ import webbrowser
 from collections.abc import Sequence
 from pathlib import Path
 
-from app.control.controller import Conductor
+from app.control.controller import Controller
 from app.control.projects import Projects
 from app.model.scene_files import demo_folder, open_files, open_folder, with_camera_file
 from app.model.session import Session
 from app.model.state import Document
 from app.page.server import Page
-from app.web.access import Doors
+from app.web.access import AccessControl
 from photoreg.errors import InputError, OutputError
 from photoreg.project.folder import FolderInUseError, check_is_free, holds_project
 
@@ -53,34 +53,34 @@ def run_app(
         InputError: if a file is missing or not valid.
     """
     token = token or os.environ.get("PHOTOREG_TOKEN")
-    doors = Doors.with_a_token(host, token, address)
+    access = AccessControl.with_a_token(host, token, address)
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
     session = Session()
     projects = Projects(session)
-    conductor = page = None
+    controller = page = None
     try:
         open_project(projects, files, cameras, project)
-        conductor = Conductor(session, projects=projects)
-        page = Page(session, conductor, doors, port, shadows)
+        controller = Controller(session, projects=projects)
+        page = Page(session, controller, access, port, shadows)
         if page.port != port and port != 0:
             _say(f"Port {port} is taken, so photoreg uses {page.port}.")
         # A token that was given is known to who gave it, and stays out of logs.
-        shown = doors.entrance(page.port, with_token=not token)
+        shown = access.entrance(page.port, with_token=not token)
         _say(f"photoreg is at {shown} (Ctrl-C ends it).")
-        if doors.token is not None:
+        if access.token is not None:
             _say(
                 "Whoever has this address may come in."
                 if not token
                 else "It asks for your token once in each browser; /?token=... gives it."
             )
         if open_browser and has_browser():
-            webbrowser.open(doors.entrance(page.port))
+            webbrowser.open(access.entrance(page.port))
         _wait_for_the_end()
     finally:
         if page is not None:
             page.close()
-        if conductor is not None:
-            conductor.close()
+        if controller is not None:
+            controller.close()
         projects.close()
     _say("Stopped.")
     return 0

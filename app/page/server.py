@@ -15,8 +15,8 @@ from typing import Any, cast
 import numpy as np
 import viser
 
-from app.control.camera_claims import Hands
-from app.control.controller import Conductor
+from app.control.camera_claims import CameraClaims
+from app.control.controller import Controller
 from app.model.failures import log_failure
 from app.model.markup import escaped, sending
 from app.model.session import Session, with_entry
@@ -31,10 +31,10 @@ from app.panels.project import ProjectPanel
 from app.panels.refine import RefinePanel
 from app.panels.view import ViewPanel
 from app.scene.canvas import backdrop
-from app.scene.nodes import Scene
+from app.scene.nodes import SceneNodes
 from app.scene.viewport import Viewport
-from app.web.access import Doors, start_viser
-from app.web.bridge import Bus
+from app.web.access import AccessControl, start_viser
+from app.web.bridge import Bridge
 from app.web.controls import (
     BRAND,
     guarded,
@@ -76,21 +76,21 @@ class Page:
     def __init__(
         self,
         session: Session,
-        conductor: Conductor,
-        doors: Doors | None = None,
+        controller: Controller,
+        access: AccessControl | None = None,
         port: int = 8080,
         shadows: bool = True,
     ) -> None:
         self.session = session
-        self.conductor = conductor
-        self.projects = conductor.projects
+        self.controller = controller
+        self.projects = controller.projects
         self._limits = Limits.of_environment()
-        self.server = start_viser(doors or Doors(), port, conductor.pictures)
+        self.server = start_viser(access or AccessControl(), port, controller.pictures)
         limit_uploads(self.server, self._limits, self._on_refused)
         self._dark: bool | None = None
         self._viewports: dict[int, Viewport] = {}
         self._view_panels: dict[int, ViewPanel] = {}
-        self._hands = Hands()
+        self._claims = CameraClaims()
         self._help = Help()
         self._blinked_at = 0.0
         self._scene_at, self._is_scene_late = -np.inf, False
@@ -101,15 +101,15 @@ class Page:
         self._connecting = threading.Lock()
         self._closed = False
         self.server.scene.configure_default_lights(cast_shadow=shadows)
-        self.scene = Scene(self.server)
+        self.scene = SceneNodes(self.server)
         self.scene.gizmos.on_pull(self._on_gizmo)
         self._build()
         session.listen(self._on_change)
-        conductor.on_picture = self.projects.on_change = self._paint_soon
-        conductor.on_surface = self._wake.set
-        conductor.on_problem = self._tell_everybody
-        conductor.on_failure = self._report_to_all
-        conductor.watch(False)
+        controller.on_picture = self.projects.on_change = self._paint_soon
+        controller.on_surface = self._wake.set
+        controller.on_problem = self._tell_everybody
+        controller.on_failure = self._report_to_all
+        controller.watch(False)
         self.server.on_client_connect(guarded_client(self._on_connect))
         self.server.on_client_disconnect(guarded_client(self._on_disconnect))
         self._paint()
@@ -140,26 +140,26 @@ class Page:
         gui.set_panel_label("photoreg")
         gui.main_panel.dock_right()
         gui.main_panel.set_width(324)
-        self._bus = bus = Bus(gui, self._limits)
-        bus.on("stop", lambda *_: self.conductor.stop_job())
+        self._bridge = bridge = Bridge(gui, self._limits)
+        bridge.on("stop", lambda *_: self.controller.stop_job())
         self._status = gui.add_html("")
         self._meter = gui.add_html("")
-        self._travel = Tools(gui, bus, "", (), self._on_travel)
+        self._travel = Tools(gui, bridge, "", (), self._on_travel)
         tabs = gui.add_tab_group()
         with tabs.add_tab("1 Data"):
-            project = ProjectPanel(gui, self.conductor)
-            data = DataPanel(gui, self.conductor, bus)
+            project = ProjectPanel(gui, self.controller)
+            data = DataPanel(gui, self.controller, bridge)
         with tabs.add_tab("2 Align") as self._align_tab:
-            align = AlignPanel(gui, self.conductor, bus)
+            align = AlignPanel(gui, self.controller, bridge)
         with tabs.add_tab("3 Refine"):
-            refine = RefinePanel(gui, self.conductor)
+            refine = RefinePanel(gui, self.controller)
         with tabs.add_tab("4 Export"):
-            export = ExportPanel(gui, self.conductor, bus)
+            export = ExportPanel(gui, self.controller, bridge)
         left = gui.add_panel()
         with left.add_tab("Overlay", viser.Icon.LAYERS_INTERSECT):
-            overlay = OverlayPanel(gui, self.conductor, bus)
+            overlay = OverlayPanel(gui, self.controller, bridge)
         with left.add_tab("Points", viser.Icon.TARGET_ARROW):
-            points = PointsPanel(gui, self.conductor, bus)
+            points = PointsPanel(gui, self.controller, bridge)
         left.dock_left()
         left.set_width(350)
         self._panels = (project, data, align, refine, export, overlay, points)
@@ -247,7 +247,7 @@ class Page:
                 return
             if blinks and time.monotonic() - self._blinked_at > BLINK_PERIOD_S:
                 self._blinked_at = time.monotonic()
-                self.conductor.blink()
+                self.controller.blink()
             try:
                 self._paint()
             except Exception as error:  # noqa: BLE001 - the border of a thread: report.
@@ -302,11 +302,11 @@ class Page:
 
     def _show_scene(self, state: State) -> None:
         """Shows the 3-D view, all of it at once."""
-        conductor = self.conductor
-        drawn = conductor.drawn
+        controller = self.controller
+        drawn = controller.drawn
         self.scene.show(state, None if drawn is None else drawn.lines)
-        self.scene.show_cloud(conductor.cloud if state.run.is_active else None)
-        self.scene.show_surface(conductor.surface_glb)
+        self.scene.show_cloud(controller.cloud if state.run.is_active else None)
+        self.scene.show_surface(controller.surface_glb)
 
     def _theme(self, dark: bool) -> None:
         self.server.gui.configure_theme(
@@ -320,35 +320,35 @@ class Page:
 
     def _on_connect(self, client: viser.ClientHandle) -> None:
         viewport = Viewport(
-            client, self.conductor, self.scene, self._hands, self._paint_soon
+            client, self.controller, self.scene, self._claims, self._paint_soon
         )
         # A tab can be filled by one thread at a time; several may connect at once.
         with self._connecting, self._align_tab:
-            panel = ViewPanel(viewport, self.conductor, self._bus, self._view_order)
+            panel = ViewPanel(viewport, self.controller, self._bridge, self._view_order)
         self._viewports[client.client_id] = viewport
         self._view_panels[client.client_id] = panel
-        self.conductor.watch(True)
+        self.controller.watch(True)
         self.projects.wait()
         viewport.show(self.session.state)
         panel.show(self.session.state)
 
     def _on_disconnect(self, client: viser.ClientHandle) -> None:
         self._viewports.pop(client.client_id, None)
-        self.conductor.watch(bool(self._viewports))
+        self.controller.watch(bool(self._viewports))
         panel = self._view_panels.pop(client.client_id, None)
         if panel is not None:
             panel.forget()
-        self._hands.drop(client.client_id)
-        self.conductor.intake.left(client.client_id)
+        self._claims.drop(client.client_id)
+        self.controller.intake.left(client.client_id)
         self._help.forget(client)
         self.scene.gizmos.let_go(client.client_id)
         self._paint_soon()
 
     def _on_refused(self, browser: int, name: str, sentence: str) -> None:
-        self._bus.arrived(name)
+        self._bridge.arrived(name)
         client = self.server.get_clients().get(browser)
         try:
-            self.conductor.intake.refuse(browser, sentence)
+            self.controller.intake.refuse(browser, sentence)
         except PhotoregError as error:
             if client is not None:
                 notify(client, "That is not possible", str(error))
@@ -364,7 +364,7 @@ class Page:
             if (
                 entry is not None
                 and state.run.status == "idle"
-                and self._hands.take(browser, index, GIZMO_HOLD_S)
+                and self._claims.take(browser, index, GIZMO_HOLD_S)
             ):
                 word = "Move" if state.gizmo == "move" else "Orbit"
                 self.session.change(
@@ -374,7 +374,7 @@ class Page:
                 )
         finally:
             if phase == "end":
-                self._hands.drop(browser)
+                self._claims.drop(browser)
                 self._paint_soon()
 
     def _report_to_all(self, what: str, error: Exception) -> None:

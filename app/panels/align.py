@@ -5,14 +5,14 @@ from collections.abc import Callable
 import numpy as np
 import viser
 
-from app.control.controller import Conductor
+from app.control.controller import Controller
 from app.model import camera_numbers
 from app.model.camera_moves import first_camera
 from app.model.camera_numbers import film_mm
 from app.model.session import select, setting, with_entry
 from app.model.state import State
 from app.panels.nudges import Stepper
-from app.web.bridge import Bus
+from app.web.bridge import Bridge
 from app.web.controls import Typed, Typing, guarded, put, put_value
 from app.web.widgets import Choice, Option, Tool, Tools
 from photoreg.errors import InputError
@@ -39,17 +39,19 @@ NUDGE_TOOLS = (
 class AlignPanel:
     """Controls of the Align tab that all browsers share."""
 
-    def __init__(self, gui: viser.GuiApi, conductor: Conductor, bus: Bus) -> None:
-        self._session = session = conductor.session
+    def __init__(
+        self, gui: viser.GuiApi, controller: Controller, bridge: Bridge
+    ) -> None:
+        self._session = session = controller.session
         self._photo = Choice(
-            gui, bus, "Photo", {}, lambda _, value: self._select(int(value))
+            gui, bridge, "Photo", {}, lambda _, value: self._select(int(value))
         )
         self.view_order = gui.add_html("").order
         """Where each browser's own controls of its view go."""
         stepper = Stepper(session)
         self._nudge = Tools(
             gui,
-            bus,
+            bridge,
             "Nudge",
             NUDGE_TOOLS,
             lambda _, value: stepper.press(value),

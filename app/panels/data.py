@@ -4,14 +4,14 @@ import math
 
 import viser
 
-from app.control.controller import Conductor
+from app.control.controller import Controller
 from app.model import photo_list
 from app.model.camera_moves import guessed_focal_px
 from app.model.markup import escaped, sending
 from app.model.point_pairs import index_of_photo
 from app.model.session import select, setting
 from app.model.state import PhotoEntry, State
-from app.web.bridge import Bus, Values, Whole
+from app.web.bridge import Bridge, Values, Whole
 from app.web.controls import guarded, guarded_slow, put, put_value
 from app.web.uploads import too_large
 from app.web.widgets import help_line
@@ -23,11 +23,13 @@ from photoreg.limits import Limits
 class DataPanel:
     """Controls of the Data tab."""
 
-    def __init__(self, gui: viser.GuiApi, conductor: Conductor, bus: Bus) -> None:
+    def __init__(
+        self, gui: viser.GuiApi, controller: Controller, bridge: Bridge
+    ) -> None:
         self._card_key: object = None
-        self._session = session = conductor.session
-        self._conductor = conductor
-        self._limits = bus.limits
+        self._session = session = controller.session
+        self._controller = controller
+        self._limits = bridge.limits
         gui.add_markdown("A scanned surface, and the photos to lay onto it.")
         self._mesh_card = gui.add_html("")
         self._photo_cards = gui.add_html("")
@@ -41,32 +43,32 @@ class DataPanel:
                 "Dark page", True, hint="Dark or light colours, in every window."
             )
 
-        bus.on("select", lambda values, _: self._select(values["photo"]), photo=str)
-        bus.on("rename", self._on_rename, photo=str, name=str)
-        bus.on("enable", self._on_enable, photo=str, on=bool)
-        bus.on("shift", self._on_shift, photo=str, by=Whole)
-        bus.on("remove", self._on_remove, photo=str)
-        bus.on(
+        bridge.on("select", lambda values, _: self._select(values["photo"]), photo=str)
+        bridge.on("rename", self._on_rename, photo=str, name=str)
+        bridge.on("enable", self._on_enable, photo=str, on=bool)
+        bridge.on("shift", self._on_shift, photo=str, by=Whole)
+        bridge.on("remove", self._on_remove, photo=str)
+        bridge.on(
             "batch",
-            lambda values, client: conductor.intake.expect(
+            lambda values, client: controller.intake.expect(
                 client.client_id, values["files"]
             ),
             files=Whole,
         )
-        bus.on("oversized", self._on_oversized, name=str, size=Whole)
+        bridge.on("oversized", self._on_oversized, name=str, size=Whole)
 
-        @bus.upload.on_upload
+        @bridge.upload.on_upload
         @guarded
         def _(event: viser.GuiEvent) -> None:
             # On the loop, in the order of arrival: the next file takes its place.
             file = event.target.value
-            bus.arrived(file.name)
-            conductor.intake.receive(event.client_id or 0, file.name, file.content)
+            bridge.arrived(file.name)
+            controller.intake.receive(event.client_id or 0, file.name, file.content)
 
         @self._demo.on_click
         @guarded_slow
         def _(_: viser.GuiEvent) -> None:
-            conductor.open_demo()
+            controller.open_demo()
 
         @self._dark.on_update
         @guarded
@@ -76,7 +78,7 @@ class DataPanel:
     def _on_oversized(self, values: Values, client: viser.ClientHandle) -> None:
         """The page holds a file back that is too large."""
         sentence = too_large(values["name"], values["size"], self._limits)
-        self._conductor.intake.refuse(client.client_id, sentence)
+        self._controller.intake.refuse(client.client_id, sentence)
 
     # What is done in the cards.
 
@@ -129,7 +131,7 @@ class DataPanel:
 
     def _card(self, index: int, entry: PhotoEntry, state: State, busy: bool) -> str:
         # By its address: the cards are sent anew with every step of a run.
-        picture = self._conductor.pictures.address(entry.photo, "thumbnail")
+        picture = self._controller.pictures.address(entry.photo, "thumbnail")
         name = escaped(entry.name)
         edge = "#2dbeaf" if index == state.selected else "transparent"
         faded = "" if entry.enabled else "opacity:.5;"

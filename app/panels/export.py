@@ -7,11 +7,11 @@ from typing import Any
 
 import viser
 
-from app.control.controller import Conductor
+from app.control.controller import Controller
 from app.model.markup import escaped, in_markdown
 from app.model.session import setting
 from app.model.state import State, Texture
-from app.web.bridge import Bus
+from app.web.bridge import Bridge
 from app.web.controls import guarded, guarded_slow, notify, put, put_value
 from app.web.widgets import HELP, Choice, Option, help_line
 from photoreg.errors import InputError
@@ -49,8 +49,10 @@ PROGRAMS = {format.label: name for name, format in CAMERA_FORMATS.items()}
 class ExportPanel:
     """Controls of the Export tab."""
 
-    def __init__(self, gui: viser.GuiApi, conductor: Conductor, bus: Bus) -> None:
-        session = conductor.session
+    def __init__(
+        self, gui: viser.GuiApi, controller: Controller, bridge: Bridge
+    ) -> None:
+        session = controller.session
 
         def configure(field: str, read: Callable[[str], Any] = str) -> Callable:
             def heard(_: viser.ClientHandle, value: str) -> None:
@@ -74,12 +76,12 @@ class ExportPanel:
             session.change(None, setting(cameras_choice=choice))
 
         gui.add_markdown("The photos as one texture on the mesh.")
-        self._size = Choice(gui, bus, "Size", SIZES, configure("size", _size))
-        self._mode = Choice(gui, bus, "Photos", MODES, configure("mode"))
+        self._size = Choice(gui, bridge, "Size", SIZES, configure("size", _size))
+        self._mode = Choice(gui, bridge, "Photos", MODES, configure("mode"))
         self._layout = Choice(
-            gui, bus, "Layout", LAYOUTS, configure("keep_uv", "own".__eq__)
+            gui, bridge, "Layout", LAYOUTS, configure("keep_uv", "own".__eq__)
         )
-        self._unseen = Choice(gui, bus, "Unseen", {}, configure("unseen"))
+        self._unseen = Choice(gui, bridge, "Unseen", {}, configure("unseen"))
         self._colour = gui.add_rgb(
             "Colour",
             (128, 128, 128),
@@ -102,8 +104,8 @@ class ExportPanel:
             "Which photo paints where", expand_by_default=False, visible=False
         ) as self._coverage_folder:
             self._coverage = gui.add_html("")
-        self._format = Choice(gui, bus, "File", FORMATS, choose("format"))
-        self._picture = Choice(gui, bus, "Picture", PICTURES, choose("picture"))
+        self._format = Choice(gui, bridge, "File", FORMATS, choose("format"))
+        self._picture = Choice(gui, bridge, "Picture", PICTURES, choose("picture"))
         self._model = gui.add_button(
             "Download the model",
             icon=viser.Icon.DOWNLOAD,
@@ -142,7 +144,7 @@ class ExportPanel:
         @guarded_slow
         def _(event: viser.GuiEvent) -> None:
             deliver = _sending_to(event.client)
-            made = conductor.pack_cameras()
+            made = controller.pack_cameras()
             deliver(made.name, made.content)
             if made.losses and event.client is not None:
                 text = "It loses something: " + " ".join(made.losses)
@@ -159,7 +161,7 @@ class ExportPanel:
         @self._bake.on_click
         @guarded
         def _(_: viser.GuiEvent) -> None:
-            conductor.bake()
+            controller.bake()
 
         @self._show.on_update
         @guarded
@@ -169,7 +171,7 @@ class ExportPanel:
         @self._model.on_click
         @guarded
         def _(event: viser.GuiEvent) -> None:
-            conductor.pack_model(_sending_to(event.client))
+            controller.pack_model(_sending_to(event.client))
 
     def show(self, state: State) -> None:
         """Makes the controls as ``state`` has them."""

@@ -28,7 +28,7 @@ Key = Literal["J", "L", "I", "K", "N", "M", "U", "O", "F", "V"]
 Modifier = Literal["shift", "alt"]
 
 
-class Step(NamedTuple):
+class Nudge(NamedTuple):
     """One way in which the object moves in the photo."""
 
     key: Key
@@ -42,16 +42,16 @@ class Step(NamedTuple):
 
 
 STEPS = (
-    Step("J", "left", right=-1.0),
-    Step("L", "right", right=1.0),
-    Step("I", "up", down=-1.0),
-    Step("K", "down", down=1.0),
-    Step("N", "nearer", nearer=1.0),
-    Step("M", "farther", nearer=-1.0),
-    Step("U", "roll left", roll=-1.0),
-    Step("O", "roll right", roll=1.0),
-    Step("F", "longer lens", longer=1.0),
-    Step("V", "shorter lens", longer=-1.0),
+    Nudge("J", "left", right=-1.0),
+    Nudge("L", "right", right=1.0),
+    Nudge("I", "up", down=-1.0),
+    Nudge("K", "down", down=1.0),
+    Nudge("N", "nearer", nearer=1.0),
+    Nudge("M", "farther", nearer=-1.0),
+    Nudge("U", "roll left", roll=-1.0),
+    Nudge("O", "roll right", roll=1.0),
+    Nudge("F", "longer lens", longer=1.0),
+    Nudge("V", "shorter lens", longer=-1.0),
 )
 BY_NAME = {step.name: step for step in STEPS}
 
@@ -92,7 +92,7 @@ class Stepper:
         factor = {"+": COARSE, "-": FINE}.get(name[-1:], 1.0)
         self.take(BY_NAME[name.rstrip("+-")], factor)
 
-    def take(self, step: Step, factor: float = 1.0) -> None:
+    def take(self, step: Nudge, factor: float = 1.0) -> None:
         """Takes one step, ``factor`` times as large as a plain one."""
         if step.longer:
             self._dolly_zoom(lambda focal: focal * DOLLY_STEP ** (step.longer * factor))

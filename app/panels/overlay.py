@@ -7,13 +7,13 @@ import viser
 import viser.uplot
 
 from app.control.comparison_html import SWIPE_STYLE, comparison_html
-from app.control.controller import Conductor
+from app.control.controller import Controller
 from app.model.markup import escaped
 from app.model.messages import Compared
 from app.model.run import CurvePoint
 from app.model.session import setting
 from app.model.state import State, Surface
-from app.web.bridge import Bus
+from app.web.bridge import Bridge
 from app.web.controls import guarded, put, put_value
 from app.web.styles import PHOTO_STYLES
 from app.web.widgets import Choice
@@ -57,18 +57,20 @@ KEY = (
 class OverlayPanel:
     """Overlay, cost curve, and the comparison of a run that has ended."""
 
-    def __init__(self, gui: viser.GuiApi, conductor: Conductor, bus: Bus) -> None:
-        self._conductor = conductor
+    def __init__(
+        self, gui: viser.GuiApi, controller: Controller, bridge: Bridge
+    ) -> None:
+        self._controller = controller
         self._shown: bytes | None = None
         self._compared: tuple[Compared, int] | None = None
         self._curve: object = ()
-        session = conductor.session
+        session = controller.session
         self._caption = gui.add_html("")
         self._image = gui.add_image(EMPTY_PICTURE, format="jpeg")
         self._comparison = gui.add_html("", visible=False)
         self._styles = Choice(
             gui,
-            bus,
+            bridge,
             "Style",
             PHOTO_STYLES,
             lambda _, value: session.change(None, setting(overlay_style=value)),
@@ -141,7 +143,7 @@ class OverlayPanel:
         self._show_curve(run.curve)
 
     def _show_picture(self, compared: bool) -> None:
-        picture = self._conductor.picture
+        picture = self._controller.picture
         put(self._image, "visible", picture is not None and not compared)
         if picture is not None and picture is not self._shown:
             self._shown = picture
@@ -150,7 +152,7 @@ class OverlayPanel:
             self._image._data = picture
 
     def _show_comparison(self, state: State) -> None:
-        compared = self._conductor.refinement.comparison
+        compared = self._controller.refinement.comparison
         if state.run.status != "review":
             compared = None
         put(self._comparison, "visible", compared is not None)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from app.control.controller import Conductor
+from app.control.controller import Controller
 from app.model import point_pairs
 from app.model.camera_moves import DisplayFrame
 from app.model.markup import mounted
@@ -18,7 +18,7 @@ from app.model.state import State
 from app.panels.data import index_of, photo_options
 from app.panels.pair_table import pair_rows, table_html
 from app.scene.markers import Pull
-from app.web.bridge import Bus, Number, Values, Whole
+from app.web.bridge import Bridge, Number, Values, Whole
 from app.web.controls import guarded, guarded_slow, in_background, put, put_value
 from app.web.widgets import Tool, Tools
 from photoreg.errors import InputError
@@ -28,10 +28,12 @@ from photoreg.resection.solver import N_POSE
 class PointsPanel:
     """The picker, the table of pairs, and what can be done with them."""
 
-    def __init__(self, gui: viser.GuiApi, conductor: Conductor, bus: Bus) -> None:
-        self._conductor = conductor
-        self._session = session = conductor.session
-        self._pictures = conductor.pictures
+    def __init__(
+        self, gui: viser.GuiApi, controller: Controller, bridge: Bridge
+    ) -> None:
+        self._controller = controller
+        self._session = session = controller.session
+        self._pictures = controller.pictures
         self._picking: set[int] = set()
         self.on_picking: Callable[[int, bool], None] = lambda *_: None
         """Called when clicks on the model begin or cease to place points in a browser."""
@@ -58,7 +60,7 @@ class PointsPanel:
             hint="Places this photo's camera where its points fit best.",
         )
         self._table = gui.add_html("")
-        self._tools = Tools(gui, bus, "", (), lambda _, value: self._use_tool(value))
+        self._tools = Tools(gui, bridge, "", (), lambda _, value: self._use_tool(value))
         self._mask = gui.add_upload_button(
             "Load a mask",
             icon=viser.Icon.CIRCLE_HALF_2,
@@ -72,11 +74,11 @@ class PointsPanel:
             "removes the one in focus. In the photo the wheel zooms, dragging pans. "
             "While this tab is open no camera stands in the way of the model."
         )
-        bus.on("pick", self._on_pick, photo=str, u=Number, v=Number)
-        bus.on("move", self._on_move, photo=str, number=Whole, u=Number, v=Number)
-        bus.on("delete", self._on_delete, photo=str, number=Whole)
-        bus.on("choose", self._on_choose, photo=str, number=Whole | None)
-        bus.on(
+        bridge.on("pick", self._on_pick, photo=str, u=Number, v=Number)
+        bridge.on("move", self._on_move, photo=str, number=Whole, u=Number, v=Number)
+        bridge.on("delete", self._on_delete, photo=str, number=Whole)
+        bridge.on("choose", self._on_choose, photo=str, number=Whole | None)
+        bridge.on(
             "paint",
             self._on_paint,
             photo=str,
@@ -84,8 +86,8 @@ class PointsPanel:
             radius=Number,
             counts=bool,
         )
-        bus.on("unmask", self._on_unmask, photo=str)
-        bus.on("picking", self._on_picking, on=bool)
+        bridge.on("unmask", self._on_unmask, photo=str)
+        bridge.on("picking", self._on_picking, on=bool)
 
         @self._choice.on_update
         @guarded
@@ -109,7 +111,7 @@ class PointsPanel:
                 raise InputError(solution.problem)
             step = f"Solve camera {state.selected + 1}"
             gesture = ("solve", next(self._gesture))
-            conductor.solver.place(state.selected_photo.name, step, gesture)
+            controller.solver.place(state.selected_photo.name, step, gesture)
 
         @self._mask.on_upload
         @guarded_slow
@@ -166,7 +168,7 @@ class PointsPanel:
             )
             self._session.change(step, change, self._pull)
         if pull.phase == "end" and self._session.state.live_solve:
-            self._conductor.solver.place(entry.name, step, self._pull)
+            self._controller.solver.place(entry.name, step, self._pull)
 
     def _surface_point(
         self, frame: DisplayFrame, origin: np.ndarray, direction: np.ndarray
@@ -221,7 +223,7 @@ class PointsPanel:
         index = point_pairs.index_of_photo(session.state, name)
         step = f"{step} of photo {index + 1}"
         if session.change(step, change, gesture) and session.state.live_solve:
-            self._conductor.solver.place(name, step, gesture)
+            self._controller.solver.place(name, step, gesture)
 
     # The mask.
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 import viser
 
 from app.control import user_data
-from app.control.controller import Conductor
+from app.control.controller import Controller
 from app.control.projects import NOT_KEPT
 from app.model.formatting import shortened
 from app.model.markup import escaped
@@ -26,8 +26,8 @@ LABEL_CHARACTERS, BUTTON_CHARACTERS = 24, 36
 class ProjectPanel:
     """Where the work is kept, and the ways to another project."""
 
-    def __init__(self, gui: viser.GuiApi, conductor: Conductor) -> None:
-        self._projects = conductor.projects
+    def __init__(self, gui: viser.GuiApi, controller: Controller) -> None:
+        self._projects = controller.projects
         self._asked: FileProblem | None = None
         # A folder without a heading: viser shows an upload button whatever it is told.
         with gui.add_folder(None, visible=False) as self._asking:

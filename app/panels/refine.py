@@ -2,7 +2,7 @@
 
 import viser
 
-from app.control.controller import Conductor
+from app.control.controller import Controller
 from app.model.durations import expected_seconds
 from app.model.formatting import in_words, number
 from app.model.markup import escaped, in_markdown
@@ -36,8 +36,8 @@ VERDICTS: dict[Grade, tuple[str, str]] = {
 class RefinePanel:
     """Controls of the Refine tab."""
 
-    def __init__(self, gui: viser.GuiApi, conductor: Conductor) -> None:
-        self._conductor = conductor
+    def __init__(self, gui: viser.GuiApi, controller: Controller) -> None:
+        self._controller = controller
         gui.add_markdown(
             "Moves all cameras together until the photos agree over the whole surface."
         )
@@ -117,19 +117,19 @@ class RefinePanel:
             hint="This run as one HTML file, with its pictures and figures.",
         )
         self._text = gui.add_markdown("")
-        self._freedom = FreedomPanel(gui, conductor.session)
-        self._runs = RunsPanel(gui, conductor)
-        self._advanced = AdvancedPanel(gui, conductor.session)
+        self._freedom = FreedomPanel(gui, controller.session)
+        self._runs = RunsPanel(gui, controller)
+        self._advanced = AdvancedPanel(gui, controller.session)
         self._listen()
 
     def _listen(self) -> None:
-        conductor, refinement = self._conductor, self._conductor.refinement
+        controller, refinement = self._controller, self._controller.refinement
 
         @self._preset.on_update
         @guarded
         def _(_: viser.GuiEvent) -> None:
             preset = PRESETS[self._preset.value]
-            conductor.session.change(None, setting(preset=preset, config=None))
+            controller.session.change(None, setting(preset=preset, config=None))
 
         for button, action in (
             (self._start, refinement.start),
@@ -177,7 +177,7 @@ class RefinePanel:
         for button in (self._accept, self._revert, self._again, self._report):
             put(button, "visible", review)
         put(self._on, "visible", state.can_go_on)
-        put(self._report, "disabled", self._conductor.refinement.comparison is None)
+        put(self._report, "disabled", self._controller.refinement.comparison is None)
         put(self._verdict, "visible", review and bool(run.verdict))
         put(self._verdict, "content", verdict_html(run))
         put(self._text, "content", _report(state, ready))

@@ -2,7 +2,7 @@
 
 import viser
 
-from app.control.controller import Conductor
+from app.control.controller import Controller
 from app.model.formatting import in_words, number
 from app.model.markup import in_markdown
 from app.model.run import Run
@@ -18,8 +18,8 @@ ITS_START = "Its own start"
 class RunsPanel:
     """The runs that have ended."""
 
-    def __init__(self, gui: viser.GuiApi, conductor: Conductor) -> None:
-        session = conductor.session
+    def __init__(self, gui: viser.GuiApi, controller: Controller) -> None:
+        session = controller.session
         self._folder = gui.add_folder("Runs", expand_by_default=False)
         with self._folder:
             self._table = gui.add_markdown("")

@@ -7,11 +7,11 @@ import time
 
 import viser
 
-from app.control.controller import Conductor
+from app.control.controller import Controller
 from app.model.session import setting
 from app.model.state import State
 from app.scene.viewport import Mode, Viewport
-from app.web.bridge import Bus
+from app.web.bridge import Bridge
 from app.web.controls import guarded, put, put_value
 from app.web.styles import PHOTO_STYLES, THROUGH_STYLES
 from app.web.widgets import Choice, Option
@@ -45,16 +45,16 @@ class ViewPanel:
     """One browser's controls of its view."""
 
     def __init__(
-        self, viewport: Viewport, conductor: Conductor, bus: Bus, order: float
+        self, viewport: Viewport, controller: Controller, bridge: Bridge, order: float
     ) -> None:
         self._viewport = viewport
-        self._bus = bus
+        self._bridge = bridge
         self._zoomed_at = 0.0
-        session, gui = conductor.session, viewport.client.gui
+        session, gui = controller.session, viewport.client.gui
         orders = (order + 0.01 * i for i in range(1, 99))
         self._mode = Choice(
             gui,
-            bus,
+            bridge,
             "View",
             MODES,
             lambda _, value: viewport.choose(_mode(value)),
@@ -62,7 +62,7 @@ class ViewPanel:
         )
         self._gizmo = Choice(
             gui,
-            bus,
+            bridge,
             "Gizmo",
             GIZMOS,
             lambda _, value: session.change(None, setting(gizmo=value)),
@@ -80,7 +80,7 @@ class ViewPanel:
         )
         self._style = Choice(
             gui,
-            bus,
+            bridge,
             "Show",
             THROUGH_STYLES,
             lambda _, value: session.change(None, setting(through_style=value)),
@@ -88,7 +88,7 @@ class ViewPanel:
         )
         self._photo_style = Choice(
             gui,
-            bus,
+            bridge,
             "Style",
             PHOTO_STYLES,
             lambda _, value: session.change(None, setting(overlay_style=value)),
@@ -136,7 +136,7 @@ class ViewPanel:
     def forget(self) -> None:
         """The browser has left."""
         for choice in (self._mode, self._gizmo, self._style, self._photo_style):
-            choice.forget(self._bus)
+            choice.forget(self._bridge)
 
     def show(self, state: State) -> None:
         """Makes the controls as the view and ``state`` have them."""

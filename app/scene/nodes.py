@@ -29,7 +29,7 @@ N_OUTWARD_RAYS = 400
 OUTWARD_SHARE = 0.96
 
 
-class Scene:
+class SceneNodes:
     """The shared nodes of the page, kept as the state has them."""
 
     def __init__(self, server: viser.ViserServer) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import viser
 import viser.transforms as vtf
 
-from app.control.controller import Conductor
+from app.control.controller import Controller
 from app.model.markup import mounted
 from app.model.state import PhotoEntry, State
 from app.scene.canvas import (
@@ -27,7 +27,7 @@ from app.scene.canvas import (
     warped_photo,
     without_skew,
 )
-from app.scene.nodes import Scene
+from app.scene.nodes import SceneNodes
 from app.web.controls import put
 from photoreg.geometry.camera import Camera
 from photoreg.imaging.photo import Photo
@@ -50,10 +50,10 @@ class PhotoView:
     """What one browser has behind its mesh; sends only what changed."""
 
     def __init__(
-        self, client: viser.ClientHandle, conductor: Conductor, scene: Scene
+        self, client: viser.ClientHandle, controller: Controller, scene: SceneNodes
     ) -> None:
         self.client = client
-        self._conductor = conductor
+        self._controller = controller
         self._scene = scene
         self._background: object = None
         self._plane: Plane | None = None
@@ -168,11 +168,11 @@ class PhotoView:
 
     def _shown(self, state: State, entry: PhotoEntry) -> bytes | None:
         """The worker's picture that takes the photo's place, a JPEG file; or none."""
-        drawn = self._conductor.drawn
+        drawn = self._controller.drawn
         if drawn is None or drawn.onto != entry.name or not entry.enabled:
             return None
         if state.through_style == "photo":
-            return self._conductor.picture
+            return self._controller.picture
         return drawn.normals_jpeg if state.through_style == "normals" else None
 
     def _set_background(self, key: object, picture: Callable[[], np.ndarray]) -> None:

@@ -15,14 +15,14 @@ import numpy as np
 import viser
 import viser.transforms as vtf
 
-from app.control.camera_claims import Hands
-from app.control.controller import Conductor
+from app.control.camera_claims import CameraClaims
+from app.control.controller import Controller
 from app.model.camera_moves import DisplayFrame
 from app.model.session import with_entry
 from app.model.state import PhotoEntry, State
 from app.scene.gizmos import GIZMO_PX
 from app.scene.home_view import home_view
-from app.scene.nodes import Scene
+from app.scene.nodes import SceneNodes
 from app.scene.photo_view import PhotoView
 from app.web.controls import guarded, notify
 from photoreg.geometry.camera import Camera
@@ -68,9 +68,9 @@ class Viewport:
     def __init__(
         self,
         client: viser.ClientHandle,
-        conductor: Conductor,
-        scene: Scene,
-        hands: Hands,
+        controller: Controller,
+        scene: SceneNodes,
+        claims: CameraClaims,
         wake: Callable[[], None],
     ) -> None:
         """``wake`` asks for ``show`` on the thread that paints."""
@@ -79,14 +79,14 @@ class Viewport:
         self._is_picking = False
         self.zoom = 1.0
         """In Inspect: how much larger than the whole photo."""
-        self._conductor = conductor
-        self._session = conductor.session
+        self._controller = controller
+        self._session = controller.session
         self._scene = scene
-        self._hands = hands
+        self._claims = claims
         self._wake = wake
         self._lock = threading.RLock()
         self._hidden: list[viser.SceneNodeHandle] = []
-        self._photo = PhotoView(client, conductor, scene)
+        self._photo = PhotoView(client, controller, scene)
         self._home: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
         self._stands_at: Camera | None = None
         self._aim: np.ndarray | None = None
@@ -301,7 +301,7 @@ class Viewport:
             return
         if now < self._settling_until:
             return
-        if not self._hands.take(self.client.client_id, index, HOLD_S):
+        if not self._claims.take(self.client.client_id, index, HOLD_S):
             if now - self._told_at > GESTURE_PAUSE_S:
                 notify(
                     self.client,

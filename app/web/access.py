@@ -28,7 +28,7 @@ from websockets.http11 import Request, Response
 
 from app.model.scene_files import static_folder
 from app.web.incoming import check_incoming
-from app.web.photo_server import ROOT, Pictures
+from app.web.photo_server import ROOT, PhotoServer
 from app.web.scripts import Hook, with_scripts
 from app.web.token_guesses import Guesses
 from app.web.viser_patches import mend_wakening
@@ -65,7 +65,7 @@ SAFETY_HEADERS = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Doors:
+class AccessControl:
     """Who may come in.
 
     Raises:
@@ -102,7 +102,7 @@ class Doors:
     @classmethod
     def with_a_token(
         cls, host: str, token: str | None = None, address: str | None = None
-    ) -> "Doors":
+    ) -> "AccessControl":
         """The same; where a token is needed and none is given, one is made."""
         if not token and (address is not None or not is_loopback(host)):
             token = secrets.token_urlsafe(24)
@@ -284,21 +284,25 @@ def _response(
     return Response(status, status.phrase, Headers(fields), body)
 
 
-def start_viser(doors: Doors, port: int, pictures: Pictures) -> viser.ViserServer:
+def start_viser(
+    access: AccessControl, port: int, pictures: PhotoServer
+) -> viser.ViserServer:
     """A viser server behind these doors, which also has our pictures."""
     mend_wakening()
     check_incoming()
     serve = websocket_server.serve
 
     def serve_guarded(*args: Any, process_request: Any = None, **kwargs: Any) -> Any:
-        hook = guarded(doors, with_pictures(with_scripts(process_request), pictures))
+        hook = with_access_control(
+            access, with_pictures(with_scripts(process_request), pictures)
+        )
         return serve(*args, process_request=hook, server_header=None, **kwargs)
 
     websocket_server.serve = serve_guarded
     try:
         # viser prints a banner of its own; the app says where it is.
         with contextlib.redirect_stdout(io.StringIO()):
-            server = viser.ViserServer(host=doors.host, port=port, verbose=False)
+            server = viser.ViserServer(host=access.host, port=port, verbose=False)
     finally:
         websocket_server.serve = serve
     # A browser could ask for a tunnel to share.viser.studio even where no button shows.
@@ -307,12 +311,12 @@ def start_viser(doors: Doors, port: int, pictures: Pictures) -> viser.ViserServe
     return server
 
 
-def guarded(doors: Doors, following: Hook) -> Hook:
+def with_access_control(access: AccessControl, following: Hook) -> Hook:
     """The handshake hook: the doors first, then ``following``; safe headers on all."""
 
     async def process(connection: ServerConnection, request: Request) -> Any:
         peer = str((connection.remote_address or ("",))[0])
-        response = doors.answer(request, connection.local_address[1], peer)
+        response = access.answer(request, connection.local_address[1], peer)
         if response is None:
             try:
                 response = following(connection, request)
@@ -328,7 +332,7 @@ def guarded(doors: Doors, following: Hook) -> Hook:
     return process
 
 
-def with_pictures(following: Any, pictures: Pictures) -> Hook:
+def with_pictures(following: Any, pictures: PhotoServer) -> Hook:
     """The handshake hook ``following``, and before it the paths of ``pictures``."""
 
     async def picture(path: str) -> Response:

@@ -26,7 +26,7 @@ Values = dict[str, Any]
 Handler = Callable[[Values, viser.ClientHandle], None]
 
 
-class Bus:
+class Bridge:
     """Takes messages of the page's scripts to their handlers."""
 
     def __init__(self, gui: viser.GuiApi, limits: Limits) -> None:
@@ -82,7 +82,7 @@ class Bus:
     def _boot_html(self) -> str:
         return mounted(
             "boot",
-            bus=self._text._impl.uuid,
+            bridge=self._text._impl.uuid,
             upload=self.upload._impl.uuid,
             bytes=str(self.limits.file_bytes),
         )

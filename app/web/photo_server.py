@@ -38,7 +38,7 @@ _TILE = re.compile(r"/photoreg/photo/([0-9]+)/([0-9]{1,4})/([0-9]{1,4})\.jpg")
 _MASK = re.compile(r"/photoreg/mask/([0-9]+)\.png")
 
 
-class Pictures:
+class PhotoServer:
     """Knows what is on screen by short keys, and encodes it when asked."""
 
     def __init__(self) -> None:

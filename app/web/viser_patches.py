@@ -34,7 +34,7 @@ class LoopEvent(asyncio.Event):
             super().set()
 
 
-class WakeningBuffer(AsyncMessageBuffer):
+class ThreadSafeBuffer(AsyncMessageBuffer):
     """viser's buffer of messages, with an event that bears other threads."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
@@ -49,4 +49,4 @@ class WakeningBuffer(AsyncMessageBuffer):
 
 def mend_wakening() -> None:
     """Has all servers and clients of viser made from now on use such buffers."""
-    _infra.AsyncMessageBuffer = WakeningBuffer  # pyright: ignore
+    _infra.AsyncMessageBuffer = ThreadSafeBuffer  # pyright: ignore

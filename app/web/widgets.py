@@ -8,7 +8,7 @@ import viser
 from viser._icons import svg_from_icon
 
 from app.model.markup import escaped, sending
-from app.web.bridge import Bus, Values
+from app.web.bridge import Bridge, Values
 from app.web.controls import put
 from photoreg.errors import InputError
 
@@ -63,7 +63,7 @@ class Choice:
     def __init__(
         self,
         gui: viser.GuiApi,
-        bus: Bus,
+        bridge: Bridge,
         label: str,
         options: Mapping[Any, Option],
         on_choice: Heard,
@@ -71,12 +71,12 @@ class Choice:
     ) -> None:
         self._label = label
         self._options: dict[str, Option] = dict(options)
-        self._act = _listen(bus, on_choice, lambda value: value in self._options)
+        self._act = _listen(bridge, on_choice, lambda value: value in self._options)
         self._html = gui.add_html("", order=order)
 
-    def forget(self, bus: Bus) -> None:
+    def forget(self, bridge: Bridge) -> None:
         """Listens no longer: its browser has left."""
-        bus.off(self._act)
+        bridge.off(self._act)
 
     def show(
         self,
@@ -130,7 +130,7 @@ class Tools:
     def __init__(
         self,
         gui: viser.GuiApi,
-        bus: Bus,
+        bridge: Bridge,
         label: str,
         tools: Sequence[Tool],
         on_press: Heard,
@@ -139,7 +139,7 @@ class Tools:
         self._label = label
         self._repeat = repeat
         self._values: set[str] = set()
-        self._act = _listen(bus, on_press, lambda value: value in self._values)
+        self._act = _listen(bridge, on_press, lambda value: value in self._values)
         self._html = gui.add_html("")
         self.show(tools)
 
@@ -171,7 +171,7 @@ class Tools:
         put(self._html, "visible", visible)
 
 
-def _listen(bus: Bus, heard: Heard, is_there: Callable[[str], bool]) -> str:
+def _listen(bridge: Bridge, heard: Heard, is_there: Callable[[str], bool]) -> str:
     act = f"widget-{next(_numbers)}"
 
     def on_message(values: Values, client: viser.ClientHandle) -> None:
@@ -179,7 +179,7 @@ def _listen(bus: Bus, heard: Heard, is_there: Callable[[str], bool]) -> str:
             raise InputError("That button is not there any more. Press another.")
         heard(client, values["value"])
 
-    bus.on(act, on_message, value=str)
+    bridge.on(act, on_message, value=str)
     return act
 
 

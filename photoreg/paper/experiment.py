@@ -37,7 +37,7 @@ class Method:
 
 
 @dataclasses.dataclass(frozen=True)
-class Run:
+class MethodRun:
     """One method from one manual start."""
 
     table: str
@@ -223,7 +223,7 @@ def _beyond(
 
 def runs(
     scene: Scene, rows: Sequence[Method], n_runs: int, n_compared: int, seed: int = 0
-) -> Iterator[Run]:
+) -> Iterator[MethodRun]:
     """Runs every method from the manual starts; yields each as it ends.
 
     Every method starts from the same manual cameras with the same seeds. A method
@@ -236,7 +236,7 @@ def runs(
         n_compared: Runs of each method of the other tables.
         seed: Of the starts and searches.
     """
-    done: dict[tuple[object, int], Run] = {}
+    done: dict[tuple[object, int], MethodRun] = {}
     starts = {
         number: manual_start(scene.true_mesh, scene.cameras, seed=1000 * seed + number)
         for number in range(1, n_runs + 1)
@@ -256,7 +256,7 @@ def count(row: Method, n_runs: int, n_compared: int) -> int:
 
 def _one(
     scene: Scene, start: Sequence[Camera], row: Method, number: int, seed: int
-) -> Run:
+) -> MethodRun:
     def error_px(cameras: Sequence[Camera], n_samples: int = 10_000) -> float:
         return projection_error(scene.true_mesh, scene.cameras, cameras, n_samples).mean
 
@@ -280,7 +280,7 @@ def _one(
         evaluations = finished.evaluations
     seconds = time.perf_counter() - began
     kept = sorted({round(k) for k in np.linspace(0, len(path) - 1, PATH_STEPS)})
-    return Run(
+    return MethodRun(
         row.table,
         row.name,
         number,

@@ -13,7 +13,7 @@ import numpy as np
 
 from photoreg.formats.mark import COMMENT, marked_picture
 from photoreg.formats.writing import write_files
-from photoreg.paper.experiment import Run
+from photoreg.paper.experiment import MethodRun
 from photoreg.paper.report_plots import draw_cost_against_error, draw_error_of_each_run
 
 TABLES: dict[str, tuple[str, str]] = {
@@ -77,7 +77,7 @@ class Row:
     paper: str
 
 
-def summed_up(runs: Sequence[Run], paper: dict[tuple[str, str], str]) -> dict:
+def summed_up(runs: Sequence[MethodRun], paper: dict[tuple[str, str], str]) -> dict:
     """The rows of each table: key of the table to its rows."""
     tables: dict[str, list[Row]] = {}
     for key in TABLES:
@@ -110,7 +110,7 @@ def report_files(folder: Path, n_photos: int = 2) -> list[Path]:
 def write_report(
     folder: Path,
     setup: Setup,
-    runs: Sequence[Run],
+    runs: Sequence[MethodRun],
     paper: dict[tuple[str, str], str],
     overwrite: bool = False,
 ) -> list[Path]:
@@ -148,7 +148,7 @@ def write_report(
     )
 
 
-def correlations(runs: Sequence[Run]) -> tuple[float, float]:
+def correlations(runs: Sequence[MethodRun]) -> tuple[float, float]:
     """Correlation of cost and error: of the runs' ends, and of their ways (of logs)."""
     ends = np.array([(run.cost, run.end_px) for run in runs])
     ways = np.array([point for run in runs for point in run.path])
@@ -161,7 +161,7 @@ def _correlation(pairs: np.ndarray) -> float:
     return float(np.corrcoef(pairs.T)[0, 1])
 
 
-def _introduction(setup: Setup, runs: Sequence[Run]) -> list[str]:
+def _introduction(setup: Setup, runs: Sequence[MethodRun]) -> list[str]:
     starts = [run.start_px for run in runs]
     width, height = setup.photo_size
     return [
@@ -180,7 +180,7 @@ def _introduction(setup: Setup, runs: Sequence[Run]) -> list[str]:
     ]
 
 
-def _table_1(runs: Sequence[Run]) -> tuple[list[str], list[list[str]]]:
+def _table_1(runs: Sequence[MethodRun]) -> tuple[list[str], list[list[str]]]:
     """Error of each run: before, by each size of population, by the default preset."""
     columns: dict[str, dict[int, float]] = {
         "manual start": {run.run: run.start_px for run in runs}
@@ -217,7 +217,7 @@ def _cells(row: Row) -> list[str]:
     ]
 
 
-def _correlation_text(runs: Sequence[Run]) -> str:
+def _correlation_text(runs: Sequence[MethodRun]) -> str:
     ends, ways = correlations([run for run in runs if run.table == "population"])
     return (
         f"Correlation of cost and error: {ends:.2f} over the ends of the runs, {ways:.2f} "
@@ -227,7 +227,7 @@ def _correlation_text(runs: Sequence[Run]) -> str:
 
 
 def _markdown(
-    setup: Setup, runs: Sequence[Run], tables: dict, pictures: Sequence[str]
+    setup: Setup, runs: Sequence[MethodRun], tables: dict, pictures: Sequence[str]
 ) -> str:
     parts = ["# The paper's experiment, reproduced", *_introduction(setup, runs)]
     parts.append(" ".join(f"![{name}]({name})" for name in pictures))
@@ -274,7 +274,7 @@ figure { margin: 0; } figure svg { max-width: 100%; height: auto; }
 
 def _html(
     setup: Setup,
-    runs: Sequence[Run],
+    runs: Sequence[MethodRun],
     tables: dict,
     pictures: dict[str, bytes],
     figures: dict[str, str],
@@ -321,7 +321,7 @@ def _html_table(header: Sequence[str], rows: Sequence[Sequence[str]], kind: str)
     return f'<table class="{kind}"><tr>{head}</tr>\n' + "\n".join(lines) + "\n</table>"
 
 
-def _json(setup: Setup, runs: Sequence[Run], tables: dict) -> str:
+def _json(setup: Setup, runs: Sequence[MethodRun], tables: dict) -> str:
     common = dataclasses.asdict(setup)
     common["pictures"] = [name for name, _ in setup.pictures]
     ends, ways = correlations([run for run in runs if run.table == "population"])

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from photoreg.errors import InputError
-from photoreg.paper.experiment import Run
+from photoreg.paper.experiment import MethodRun
 
 PAPER_MEANS_PX = (6.54, 5.63)
 """Mean errors of the paper's Table 1, with 500 and with 1,000 individuals."""
@@ -28,7 +28,7 @@ def check_plots() -> None:
         ) from error
 
 
-def draw_error_of_each_run(runs: Sequence[Run]) -> str:
+def draw_error_of_each_run(runs: Sequence[MethodRun]) -> str:
     """Figure 4: projection error of each run, a line for each size of population."""
     figure, axes = _figure(7.2, 3.4)
     for k, (method, mine) in enumerate(_by_method(runs).items()):
@@ -53,7 +53,7 @@ def draw_error_of_each_run(runs: Sequence[Run]) -> str:
     return _svg(figure)
 
 
-def draw_cost_against_error(runs: Sequence[Run]) -> str:
+def draw_cost_against_error(runs: Sequence[MethodRun]) -> str:
     """Figure 8: cost against projection error, of the ends and on the way."""
     figure, axes = _figure(7.2, 4.2)
     for k, (method, mine) in enumerate(_by_method(runs).items()):
@@ -100,8 +100,8 @@ def _few_labels() -> Any:
     return FuncFormatter(label)
 
 
-def _by_method(runs: Sequence[Run]) -> dict[str, list[Run]]:
-    groups: dict[str, list[Run]] = {}
+def _by_method(runs: Sequence[MethodRun]) -> dict[str, list[MethodRun]]:
+    groups: dict[str, list[MethodRun]] = {}
     for run in runs:
         groups.setdefault(run.method, []).append(run)
     return groups

@@ -8,7 +8,7 @@ import cv2
 
 from photoreg.errors import InputError, OutputError
 from photoreg.formats.writing import check_outputs
-from photoreg.paper.experiment import Method, Run, count, methods, runs
+from photoreg.paper.experiment import Method, MethodRun, count, methods, runs
 from photoreg.paper.report import Setup, report_files, write_report
 from photoreg.paper.report_plots import check_plots
 from photoreg.polish.polish_cameras import PolishConfig
@@ -22,7 +22,7 @@ its errors of 5 to 6 px were small beside it."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Step:
+class ReproductionStep:
     """What has just been done."""
 
     text: str
@@ -37,7 +37,7 @@ class Reproduced:
 
     paths: tuple[Path, ...]
     """The files; report.html is the one to open."""
-    runs: tuple[Run, ...] = dataclasses.field(repr=False)
+    runs: tuple[MethodRun, ...] = dataclasses.field(repr=False)
     """Every run of every method."""
 
 
@@ -50,7 +50,7 @@ def reproduce(
     scene: Scene | None = None,
     polish: PolishConfig | None = None,
     overwrite: bool = False,
-) -> Iterator[Step | Reproduced]:
+) -> Iterator[ReproductionStep | Reproduced]:
     """Makes the paper's experiment and writes a report; yields after each run.
 
     The comparisons of colour spaces, costs and so on take half as many runs as
@@ -87,17 +87,17 @@ def _steps(
     generations: int,
     scene: Scene | None,
     overwrite: bool,
-) -> Iterator[Step | Reproduced]:
-    yield Step("Drawing the Shell.", 0.0)
+) -> Iterator[ReproductionStep | Reproduced]:
+    yield ReproductionStep("Drawing the Shell.", 0.0)
     if scene is None:
         width, height = PHOTO_SIZE
         scene = make_scene(SceneOptions(kind="shell", width=width, height=height))
     n_compared = max(1, n_runs // 2)
     n_all = sum(count(row, n_runs, n_compared) for row in rows)
-    done: list[Run] = []
+    done: list[MethodRun] = []
     for run in runs(scene, rows, n_runs, n_compared, seed):
         done.append(run)
-        yield Step(
+        yield ReproductionStep(
             f"{run.method}, run {run.run}: {run.start_px:.1f} -> {run.end_px:.2f} px "
             f"in {run.seconds:.1f} s",
             len(done) / n_all,

@@ -23,8 +23,8 @@ from photoreg.polish.photometric_term import (
     EDGE_MARGIN_PX,
     PairPoints,
     exposure_gain,
+    opponent_channels,
     pair_points,
-    prepare_photo,
 )
 from photoreg.polish.silhouette_term import Rim, find_edges, find_rim
 
@@ -113,7 +113,9 @@ def disagreement(
 
     with concurrent.futures.ThreadPoolExecutor() as threads:
         surfaces = threads.map(shared_points, pairs)
-        images = threads.map(prepare_photo, photos, views, itertools.repeat(BLUR_PX))
+        images = threads.map(
+            opponent_channels, photos, views, itertools.repeat(BLUR_PX)
+        )
         outlines = threads.map(_outline_share, itertools.repeat(mesh), photos, views)
         surfaces, images, outlines = list(surfaces), list(images), tuple(outlines)
     colours, typical_colours, errors = {}, {}, {}

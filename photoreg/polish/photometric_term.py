@@ -82,7 +82,7 @@ class PairPoints:
         )
 
 
-def prepare_photo(
+def opponent_channels(
     photo: Photo, view: SurfaceView, sigma_px: float
 ) -> Float[np.ndarray, "h w 3"]:
     """The photo at the view's size in opponent channels, blurred inside the object.

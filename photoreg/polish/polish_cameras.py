@@ -31,8 +31,8 @@ from photoreg.polish.photometric_term import (
     EDGE_MARGIN_PX,
     PairPoints,
     PairTerm,
+    opponent_channels,
     pair_points,
-    prepare_photo,
 )
 from photoreg.polish.silhouette_term import (
     OUTLINE_SIGMA_PX,
@@ -427,7 +427,7 @@ def _terms(
 
     with concurrent.futures.ThreadPoolExecutor() as threads:
         surfaces = threads.map(shared_points, pairs)
-        images = threads.map(prepare_photo, photos, views, blurs) if pairs else []
+        images = threads.map(opponent_channels, photos, views, blurs) if pairs else []
         found = threads.map(
             rim_term, range(len(photos) if config.use_silhouette else 0)
         )

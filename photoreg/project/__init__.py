@@ -2,4 +2,4 @@
 
 from photoreg.project.folder import DATABASE as DATABASE
 from photoreg.project.project import Project as Project
-from photoreg.project.project import Step as Step
+from photoreg.project.project import StoredStep as StoredStep

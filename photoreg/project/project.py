@@ -50,7 +50,7 @@ MAX_CHECKED_BYTES = 64 << 20
 
 
 @dataclasses.dataclass(frozen=True)
-class Step:
+class StoredStep:
     """The document after a step of the work."""
 
     name: str | None
@@ -348,7 +348,7 @@ class Project:
 
     # The document and its history.
 
-    def write_history(self, after: int, steps: Sequence[Step], now: int) -> None:
+    def write_history(self, after: int, steps: Sequence[StoredStep], now: int) -> None:
         """Replaces what follows a position of the history.
 
         Args:
@@ -366,7 +366,7 @@ class Project:
                 )
             self._put("position", now)
 
-    def read_history(self, n_back: int = 200) -> tuple[int, list[Step], int]:
+    def read_history(self, n_back: int = 200) -> tuple[int, list[StoredStep], int]:
         """The history around the document in force.
 
         Steps that cannot be read any more, because a file of theirs is gone, and what
@@ -394,7 +394,7 @@ class Project:
                 if rows:
                     raise InputError(f"{self.path} is damaged: it lacks step {now}.")
                 return 0, [], 0
-            steps = [Step(rows[here][1], self._values.value_of(rows[here][2]))]
+            steps = [StoredStep(rows[here][1], self._values.value_of(rows[here][2]))]
             first = here
             while first > 0 and (step := self._step(rows[first - 1])) is not None:
                 steps.insert(0, step)
@@ -406,9 +406,9 @@ class Project:
                 steps.append(step)
             return rows[first][0], steps, now
 
-    def _step(self, row: tuple[Any, ...]) -> Step | None:
+    def _step(self, row: tuple[Any, ...]) -> StoredStep | None:
         try:
-            return Step(row[1], self._values.value_of(row[2]))
+            return StoredStep(row[1], self._values.value_of(row[2]))
         except InputError:
             return None
 

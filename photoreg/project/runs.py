@@ -46,7 +46,7 @@ class StoredRun:
 
 
 @dataclasses.dataclass(frozen=True)
-class Generation:
+class StoredGeneration:
     """One point of a run's course."""
 
     number: int
@@ -120,7 +120,9 @@ class ProjectRuns:
             assert cursor.lastrowid is not None
             return cursor.lastrowid
 
-    def add_generations(self, run: int, generations: Sequence[Generation]) -> None:
+    def add_generations(
+        self, run: int, generations: Sequence[StoredGeneration]
+    ) -> None:
         """Appends to a run's course; a number that is there already is replaced."""
         with self._writing():
             self._connection.executemany(
@@ -209,7 +211,7 @@ class ProjectRuns:
         newest = self._select("ORDER BY runs.id DESC LIMIT 1")
         return newest[0] if newest and newest[0].ended_utc is None else None
 
-    def generations(self, run: int) -> list[Generation]:
+    def generations(self, run: int) -> list[StoredGeneration]:
         """A run's course."""
         with self._access:
             rows = self._connection.execute(
@@ -217,7 +219,7 @@ class ProjectRuns:
                 "ORDER BY number",
                 (run,),
             ).fetchall()
-        return [Generation(*row) for row in rows]
+        return [StoredGeneration(*row) for row in rows]
 
     def checkpoint(self, run: int) -> StoredCheckpoint | None:
         """The newest checkpoint of a run that has not ended; None if it has none."""

@@ -19,7 +19,7 @@ from photoreg.search.genetic import Generation, evolve
 from photoreg.search.photo_consistency import PhotoConsistency, patches_of
 
 
-class Search:
+class GeneticSearch:
     """A search around rough cameras, ready to run."""
 
     def __init__(

@@ -20,9 +20,9 @@ from photoreg.polish.uncertainty import Uncertainty, estimate_uncertainty
 from photoreg.registration.checkpoint import Checkpoint, problem_digest
 from photoreg.registration.config import OBJECT_BOX, RegistrationConfig
 from photoreg.registration.events import Event, Finished, Phase, Population, Progress
-from photoreg.registration.genetic_search import Search
+from photoreg.registration.genetic_search import GeneticSearch
 from photoreg.registration.readiness import check_readiness
-from photoreg.registration.verdict import Verdict, is_better, judge
+from photoreg.registration.verdict import Verdict, decide_verdict, is_better
 from photoreg.words import listed
 
 MIN_OVERLAP = 0.1
@@ -129,7 +129,9 @@ class _Run:
         yield self._progress("prepare", "getting ready", 0.0, np.inf, np.inf)
         self._leave_out_the_blind()
         self._refuse_the_empty()
-        search = Search(self.mesh, self.photos, self.start, self.config, self.freedom)
+        search = GeneticSearch(
+            self.mesh, self.photos, self.start, self.config, self.freedom
+        )
         self._clock("prepare")
         yield from self._search(search)
         self._clock("search")
@@ -207,7 +209,7 @@ class _Run:
             complete[i] = camera
         return tuple(complete)
 
-    def _search(self, search: Search) -> Iterator[Progress]:
+    def _search(self, search: GeneticSearch) -> Iterator[Progress]:
         config, settings = self.config, self.config.genetic
         budget = settings.generations * settings.restarts
         share = SEARCH_SHARE if config.polish_after else 1.0
@@ -282,7 +284,7 @@ class _Run:
             if answer is None or last.disagreement.total < self.cost:
                 answer, self.cost = last, last.disagreement.total
                 judged = self._against_chance(last.disagreement, last.cameras)
-                self.verdict = judge(judged, self._names)
+                self.verdict = decide_verdict(judged, self._names)
             self.best = answer.cameras
             if self.verdict is not None and self.verdict.is_credible:
                 break
@@ -313,7 +315,7 @@ class _Run:
         if is_better(answer, before):
             return False
         self.best, self.cost = self.start, self.start_cost
-        self.verdict = judge(before, self._names)
+        self.verdict = decide_verdict(before, self._names)
         self.reason = (
             "The start was kept: colours and outlines fit the photos no better with the "
             "cameras found from it."
@@ -374,7 +376,7 @@ class _Run:
         """How far off the cameras are at the end of a level of the polish."""
         return estimate_uncertainty(self.mesh, step, self._names).expected_error_px
 
-    def _finished(self, search: Search) -> Finished:
+    def _finished(self, search: GeneticSearch) -> Finished:
         if not self.config.polish_after:
             self.start_cost = search.consistency.cost(self.start)
             self.cost = search.consistency.cost(self.best)

@@ -51,7 +51,7 @@ class Verdict:
         return self.grade != "unconvincing"
 
 
-def judge(fit: Disagreement, names: Sequence[str]) -> Verdict:
+def decide_verdict(fit: Disagreement, names: Sequence[str]) -> Verdict:
     """Judges cameras by colours and outlines apart.
 
     Together they would not do: on a wall without outlines right and wrong ends have

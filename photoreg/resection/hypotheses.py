@@ -21,7 +21,7 @@ MAX_TRIPLES = 24
 """Triples that hypotheses come from, at most; they cost the time."""
 
 
-class Search:
+class HypothesisSearch:
     """Hypotheses, robust refinement, and the choice of the best explanation."""
 
     def __init__(

@@ -12,7 +12,7 @@ from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.rotations import left_jacobian
 from photoreg.resection import pinhole_model
-from photoreg.resection.hypotheses import Search
+from photoreg.resection.hypotheses import HypothesisSearch
 from photoreg.resection.pinhole_model import Models, Pairs
 from photoreg.words import listed
 
@@ -130,7 +130,7 @@ def solve_camera(
     origin = points.mean(axis=0)
     size = float(np.sqrt(((points - origin) ** 2).sum(axis=1).mean()))
     pairs = _pairs((points - origin) / size, pixels, width, height, prior, focal_sigma)
-    search = Search(pairs, n_free, width * height, click_sigma_px, seed)
+    search = HypothesisSearch(pairs, n_free, width * height, click_sigma_px, seed)
     model, inliers, sigma_px, twin = search.best()
     model = _polished(model, pairs, n_free, sigma_px, inliers)
     camera = _camera(model, pairs, origin, size, width, height)

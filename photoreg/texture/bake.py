@@ -21,14 +21,14 @@ from photoreg.texture.blend import (
     TexelSums,
     TexelTable,
     TextureConfig,
-    add_photo,
+    blend_photo,
     exposure_gains,
     fitted_photo,
     log_colours,
     outward_normals,
 )
 from photoreg.texture.fill_unseen import spread
-from photoreg.texture.usable_area import prepare_photo
+from photoreg.texture.usable_area import find_usable_area
 
 GROWN_RINGS = 2
 """Texels beyond a chart's border that are baked like those inside."""
@@ -182,8 +182,8 @@ def baking(
     for i, (photo, camera) in enumerate(zip(photos, cameras, strict=True)):
         yield BakingStep(f"Painting {photo.name}", 0.4 + 0.45 * i / n)
         fitted = fitted_photo(photo, camera, mesh, table)
-        prepared = prepare_photo(mesh, fitted, camera, config.margin, config.feather)
-        add_photo(mesh, normals, prepared, gains[i], i, table, config, sums)
+        prepared = find_usable_area(mesh, fitted, camera, config.margin, config.feather)
+        blend_photo(mesh, normals, prepared, gains[i], i, table, config, sums)
 
     yield BakingStep("Filling what no photo sees", 0.85)
     texture = np.zeros((height * width, 3), dtype=np.uint8)

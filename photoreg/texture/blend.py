@@ -14,7 +14,7 @@ from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.rasteriser import render_geometry
 from photoreg.imaging.photo import Photo
 from photoreg.texture import kernels
-from photoreg.texture.usable_area import PreparedPhoto, prepare_photo
+from photoreg.texture.usable_area import PreparedPhoto, find_usable_area
 
 MIN_SIZE, MAX_SIZE = 64, 8192
 RAY_TOLERANCE = 1e-4
@@ -200,7 +200,7 @@ def fitted_photo(photo: Photo, camera: Camera, mesh: Mesh, table: TexelTable) ->
     return photo.resized(max(16, int(max(photo.width, photo.height) / excess)))
 
 
-def add_photo(
+def blend_photo(
     mesh: Mesh,
     normals: tuple[np.ndarray, np.ndarray],
     photo: PreparedPhoto,
@@ -215,7 +215,7 @@ def add_photo(
     Args:
         mesh: The surface.
         normals: Of vertices and faces, by `outward_normals`.
-        photo: By `prepare_photo`.
+        photo: By `find_usable_area`.
         gain: (3,) by which its channels are multiplied.
         number: The photo's, from 0.
         table: The texels.
@@ -253,7 +253,7 @@ def add_photo(
         # a pixel: on scans up to 4 of 1,000.
         free = mesh.is_unoccluded(points, camera.center, RAY_TOLERANCE)
         seen, points = seen[free], points[free]
-        kernels.add_photo(
+        kernels.accumulate_photo(
             start + seen,
             points,
             weights[seen],
@@ -282,10 +282,10 @@ def log_colours(
 ) -> Float[np.ndarray, "n 3"]:
     """Logarithm of the colours that a photo, reduced, sees; NaN where it does not."""
     sums = TexelSums.zero(len(table.index))
-    prepared = prepare_photo(
+    prepared = find_usable_area(
         mesh, photo.resized(EXPOSURE_SIDE_PX), camera, config.margin, config.feather
     )
-    add_photo(mesh, normals, prepared, np.ones(3), 0, table, config, sums)
+    blend_photo(mesh, normals, prepared, np.ones(3), 0, table, config, sums)
     colours = np.full((len(table.index), 3), np.nan, dtype=np.float32)
     seen = sums.photo >= 0
     values = sums.colours[seen]

@@ -263,7 +263,7 @@ def weigh(  # noqa: ANN201
 
 
 @nb.njit(nogil=True, cache=True, parallel=True)
-def add_photo(  # noqa: ANN201
+def accumulate_photo(  # noqa: ANN201
     row,  # noqa: ANN001
     points,  # noqa: ANN001
     weights,  # noqa: ANN001
@@ -347,7 +347,7 @@ def write_texels(  # noqa: ANN201
     Args:
         texel: (n,) flat index of each texel.
         inside: (n,) whether its centre lies in its face.
-        sums: (n, 8) as of `add_photo`.
+        sums: (n, 8) as of `accumulate_photo`.
         best_photo: (n,) the photo that counts most; -1: none sees it.
         best_quality: (n,) how well that photo sees it, in [0, 1].
         texture: (h * w, 3) uint8; changed where a photo sees the texel.

@@ -43,7 +43,7 @@ class PreparedPhoto:
     """The photo blurred, on a coarse grid, float32."""
 
 
-def prepare_photo(
+def find_usable_area(
     mesh: Mesh, photo: Photo, camera: Camera, margin: float, feather: float
 ) -> PreparedPhoto:
     """Finds where a photo may be used.

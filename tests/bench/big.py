@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from playwright.sync_api import sync_playwright
 
-from app.control.controller import Conductor
+from app.control.controller import Controller
 from app.model.session import with_cameras
 from app.page.server import Page
 from photoreg.formats.models.ply import save_mesh
@@ -33,12 +33,12 @@ def big(setting: Setting) -> Iterator[Metric]:
     del setting
     scene = make_scene(SceneOptions(kind="clean", n_faces=20_480))
     with (
-        served() as (session, conductor, page),
+        served() as (session, controller, page),
         TemporaryDirectory() as folder,
         sync_playwright() as playwright,
     ):
         paths = _files(scene, Path(folder))
-        before = _resident_mb(conductor)
+        before = _resident_mb(controller)
         browser = launch(playwright)
         window = browser.new_page(viewport={"width": 1280, "height": 800})
         driver = Driver(window, f"http://127.0.0.1:{page.port}")
@@ -69,7 +69,7 @@ def big(setting: Setting) -> Iterator[Metric]:
             1.0,
             "longest the server did not answer meanwhile",
         )
-        for name, now in _resident_mb(conductor).items():
+        for name, now in _resident_mb(controller).items():
             yield Metric(
                 f"big.memory.{name}",
                 now - before[name],
@@ -160,10 +160,10 @@ class _Probe:
             self.delays.append(time.perf_counter() - began)
 
 
-def _resident_mb(conductor: Conductor) -> dict[str, float]:
+def _resident_mb(controller: Controller) -> dict[str, float]:
     """Resident memory of the server and of the worker, where /proc tells."""
     found = {}
-    for name, pid in (("server", "self"), ("worker", conductor.worker.pid)):
+    for name, pid in (("server", "self"), ("worker", controller.worker.pid)):
         for line in Path(f"/proc/{pid}/status").read_text().splitlines():
             if line.startswith("VmRSS"):
                 found[name] = int(line.split()[1]) / 1024

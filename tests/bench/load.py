@@ -117,7 +117,7 @@ class Watcher:
         self.number = number
         self._crowd = crowd
         self._socket: Any = None
-        self._bus = self._help = ""
+        self._bridge = self._help = ""
         self._buttons: dict[str, str] = {}
         self._asked_at = 0.0
         self.answers_ms: list[float] = []
@@ -127,7 +127,7 @@ class Watcher:
     @property
     def is_served(self) -> bool:
         """Whether the page is here."""
-        return bool(self._help and self._bus)
+        return bool(self._help and self._bridge)
 
     async def run(self) -> None:
         """Works until it is over."""
@@ -177,7 +177,7 @@ class Watcher:
 
     async def _tell(self, act: str, **values: object) -> None:
         message = msgspec.json.encode({"act": act, **values, "at": time.time()})
-        await self._update(self._bus, message.decode())
+        await self._update(self._bridge, message.decode())
 
     async def _update(self, uuid: str, value: object) -> None:
         updates = {"value": value}
@@ -197,7 +197,7 @@ class Watcher:
             self._asked_at = 0.0
             await self._tell(self._help, value="help")  # Closes it.
         elif kind == "GuiTextMessage" and content["label"] == "page":
-            self._bus = message["uuid"]
+            self._bridge = message["uuid"]
         elif kind == "GuiButtonMessage":
             self._buttons[content["label"]] = message["uuid"]
         text = content.get("content") if isinstance(content, dict) else None

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from playwright.sync_api import sync_playwright
 
-from app.control.controller import Conductor
+from app.control.controller import Controller
 from app.engine.overlay_job import Drawing, Painter
-from app.engine.refine_job import Refining
+from app.engine.refine_job import RefineJob
 from app.model.messages import Live, OverlayView, Refine
 from app.model.run import PRESET_NAMES
 from app.model.scene_files import demo_folder, open_folder
@@ -51,8 +51,8 @@ _TOLD = """() => [...document.querySelectorAll('.mantine-Notification-root')]
 class _Load:
     """Cores that server, worker and browser keep busy while it is watched."""
 
-    def __init__(self, conductor: Conductor) -> None:
-        self._worker = conductor.worker.pid or 0
+    def __init__(self, controller: Controller) -> None:
+        self._worker = controller.worker.pid or 0
         self._used: dict[str, float] = {"server": 0.0, "worker": 0.0, "browser": 0.0}
         self._seconds = 0.0
 
@@ -102,21 +102,21 @@ def refine_page(setting: Setting) -> Iterator[Metric]:
     """
     del setting
     yield from _slowdown()
-    with served(open_folder(demo_folder())) as (session, conductor, page):
+    with served(open_folder(demo_folder())) as (session, controller, page):
         address = f"http://127.0.0.1:{page.port}"
         wait_until(lambda: session.state.speed is not None, "it is timed", 300)
-        yield from _listening(session, conductor, address)
+        yield from _listening(session, controller, address)
         with sync_playwright() as playwright:
             browser = launch(playwright)
             window = browser.new_page(viewport={"width": 1100, "height": 700})
             driver = Driver(window, address)
-            yield from _watching(session, conductor, driver)
-            yield from _dying(session, conductor, driver)
+            yield from _watching(session, controller, driver)
+            yield from _dying(session, controller, driver)
             browser.close()
 
 
 def _listening(
-    session: Session, conductor: Conductor, address: str
+    session: Session, controller: Controller, address: str
 ) -> Iterator[Metric]:
     """Pictures a second and round trips of a client that draws nothing."""
     pictures: list[float] = []
@@ -129,11 +129,11 @@ def _listening(
         if isinstance(updates.get("value"), str):
             seen[updates["value"]] = time.perf_counter()
 
-    rates, trips_ms, load = [], [], _Load(conductor)
+    rates, trips_ms, load = [], [], _Load(controller)
     with listening(address, hear):
         for _ in range(N_STARTS):
             session.change(None, setting(preset="thorough"))
-            conductor.refinement.start()
+            controller.refinement.start()
             wait_until(lambda: session.state.run.curve, "a first update")
             pictures.clear()
             load.start()
@@ -151,7 +151,7 @@ def _listening(
                 time.sleep(0.04)
             load.stop()
             rates.append(_rate(pictures))
-            conductor.refinement.stop(revert=True)
+            controller.refinement.stop(revert=True)
             wait_until(lambda: session.state.run.status == "idle", "it stops")
     yield from _rates_and_trips(
         "refine_page.drawn_elsewhere", rates, trips_ms, "a client that draws nothing"
@@ -160,7 +160,7 @@ def _listening(
 
 
 def _watching(
-    session: Session, conductor: Conductor, driver: Driver
+    session: Session, controller: Controller, driver: Driver
 ) -> Iterator[Metric]:
     """First update after the click, pictures a second, round trips meanwhile."""
     driver.dismiss_toasts()
@@ -169,7 +169,7 @@ def _watching(
     refine = driver.page.get_by_role("button", name="Refine", exact=True)
     session.change(None, setting(preset="thorough"))
     rested_ms, at_once_ms, rates, trips_ms = [], [], [], []
-    load = _Load(conductor)
+    load = _Load(controller)
     for i in range(N_STARTS):
         driver.frames(3)
         first_ms = at_once_ms if i % 2 else rested_ms
@@ -207,7 +207,7 @@ def _watching(
         rates.append(
             _rate([1e-3 * at for at in driver.page.evaluate("() => pictures")])
         )
-        conductor.refinement.stop(revert=True)
+        controller.refinement.stop(revert=True)
         wait_until(lambda: session.state.run.status == "idle", "it stops")
     for name, times, note in (
         ("first_update", rested_ms, "the cameras have rested"),
@@ -225,21 +225,23 @@ def _watching(
     yield from load.metrics("refine_page")
 
 
-def _dying(session: Session, conductor: Conductor, driver: Driver) -> Iterator[Metric]:
+def _dying(
+    session: Session, controller: Controller, driver: Driver
+) -> Iterator[Metric]:
     """How soon the page says that the worker was killed in the middle of a run."""
     told_ms = []
     for _ in range(N_KILLS):
         driver.dismiss_toasts()
         wait_until(lambda: session.state.worker == "", "the engine is warm", 300)
-        conductor.refinement.start()
+        controller.refinement.start()
         wait_until(lambda: session.state.kept_search, "a state is kept")
-        pid = conductor.worker.pid
+        pid = controller.worker.pid
         assert pid is not None
         killed = time.time()
         os.kill(pid, signal.SIGKILL)
         told = driver.page.wait_for_function(_TOLD, polling=10).json_value()
         told_ms.append(told - 1e3 * killed)
-        conductor.refinement.revert()
+        controller.refinement.revert()
     note = f"n={len(told_ms)}; after kill -9 in a run, software WebGL"
     yield Metric(
         "refine_page.death_told.median",
@@ -317,7 +319,7 @@ def _slowdown() -> Iterator[Metric]:
         yield from ()
 
     with contextlib.suppress(_EnoughError):
-        Refining(job, mesh, photos, drawing, painter, lambda _: None, send).run(
+        RefineJob(job, mesh, photos, drawing, painter, lambda _: None, send).run(
             messages
         )
     painter.finish()

@@ -3,7 +3,7 @@
 import contextlib
 from collections.abc import Iterator
 
-from app.control.controller import Conductor
+from app.control.controller import Controller
 from app.model.session import Session
 from app.model.state import Document, State
 from app.page.server import Page
@@ -13,14 +13,14 @@ from tests.browser.driver import wait_until
 @contextlib.contextmanager
 def served(
     document: Document | None = None,
-) -> Iterator[tuple[Session, Conductor, Page]]:
+) -> Iterator[tuple[Session, Controller, Page]]:
     """The app on a port of its own, its engine warm; ended afterwards."""
     session = Session(State(document=document or Document()))
-    conductor = Conductor(session)
-    page = Page(session, conductor, port=0, shadows=False)
+    controller = Controller(session)
+    page = Page(session, controller, port=0, shadows=False)
     try:
         wait_until(lambda: not session.state.worker, "the engine is warm", 300)
-        yield session, conductor, page
+        yield session, controller, page
     finally:
         page.close()
-        conductor.close()
+        controller.close()

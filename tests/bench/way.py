@@ -28,11 +28,11 @@ def way(setting: Setting) -> Iterator[Metric]:
     """Seconds of the machine for each step; a person's own time comes on top."""
     del setting
     scene = make_scene(SceneOptions(kind="shell", seed=5))
-    with served() as (session, conductor, page), sync_playwright() as playwright:
+    with served() as (session, controller, page), sync_playwright() as playwright:
         browser = launch(playwright)
         window = browser.new_page(viewport={"width": 1280, "height": 800})
         driver = Driver(window, f"http://127.0.0.1:{page.port}")
-        app = App(session, conductor, page, driver)
+        app = App(session, controller, page, driver)
         began = time.perf_counter()
         for step in whole_way(app, scene):
             taken = time.perf_counter() - began

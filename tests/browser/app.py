@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from app.control.controller import Conductor
+from app.control.controller import Controller
 from app.model.session import Session
 from app.model.state import State
 from app.page.server import Page
@@ -14,7 +14,7 @@ class App:
     """The running app, from both sides: its state, and the page a person sees."""
 
     session: Session
-    conductor: Conductor
+    controller: Controller
     page: Page
     driver: Driver
 

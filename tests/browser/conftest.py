@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from playwright.sync_api import Browser, sync_playwright
 
-from app.control.controller import Conductor
+from app.control.controller import Controller
 from app.engine.warm_up import toy_scene
 from app.model.session import Session
 from app.model.state import Document, PhotoEntry, State
@@ -29,18 +29,18 @@ def _opening(chromium: Browser) -> Iterator[OpenApp]:
 
     def start(document: Document) -> App:
         session = Session(State(document=document))
-        conductor = Conductor(session, warm_up=False)
-        page = Page(session, conductor, port=0, shadows=False)
+        controller = Controller(session, warm_up=False)
+        page = Page(session, controller, port=0, shadows=False)
         window = chromium.new_page(viewport={"width": 1100, "height": 700})
         driver = Driver(window, f"http://127.0.0.1:{page.port}")
-        running.append(App(session, conductor, page, driver))
+        running.append(App(session, controller, page, driver))
         return running[-1]
 
     yield start
     for app in running:
         app.driver.page.close()
         app.page.close()
-        app.conductor.close()
+        app.controller.close()
 
 
 @pytest.fixture

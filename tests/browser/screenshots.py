@@ -12,7 +12,7 @@ from pathlib import Path
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from app.control.controller import Conductor
+from app.control.controller import Controller
 from app.control.projects import Projects
 from app.model.scene_files import demo_folder, open_folder
 from app.model.session import Session, setting
@@ -32,14 +32,14 @@ def main() -> int:
         session = Session()
         projects = Projects(session)
         projects.new(open_folder(demo_folder()), Path(folder) / "Shell")
-        conductor = Conductor(session, projects=projects)
-        page = Page(session, conductor, port=0)
-        drive(session, conductor, projects, page)
+        controller = Controller(session, projects=projects)
+        page = Page(session, controller, port=0)
+        drive(session, controller, projects, page)
     return 0
 
 
 def drive(
-    session: Session, conductor: Conductor, projects: Projects, page: Page
+    session: Session, controller: Controller, projects: Projects, page: Page
 ) -> None:
     """Opens a browser on the page, and closes all at the end."""
     try:
@@ -51,7 +51,7 @@ def drive(
             browser.close()
     finally:
         page.close()
-        conductor.close()
+        controller.close()
         projects.close()
 
 

@@ -412,12 +412,12 @@ def test_a_second_browser_sees_the_move_and_nothing_fights(app, second):
     owner = next(
         number for number, v in app.page._viewports.items() if v.mode == "move"
     )
-    assert app.page._hands.take(owner, 0, 60.0)
+    assert app.page._claims.take(owner, 0, 60.0)
     canvas = second.canvas()
     middle = (canvas["x"] + canvas["width"] / 2, canvas["y"] + canvas["height"] / 2)
     second.drag(middle, (40.0, 0.0))
     second.page.get_by_text("is being moved in another browser").wait_for()
     assert same_camera(camera_of(app), settled)
-    app.page._hands.drop(owner)
+    app.page._claims.drop(owner)
     second.choose("View", "Free")
     undo(app, before)

@@ -7,11 +7,11 @@ import msgspec.msgpack
 import pytest
 from websockets.sync.client import connect
 
-from app.control.controller import Conductor
+from app.control.controller import Controller
 from app.model.session import Session
 from app.model.state import Document, State
 from app.page.server import Page
-from app.web.access import Doors, cookie_name
+from app.web.access import AccessControl, cookie_name
 from photoreg.limits import Limits
 from tests.browser.driver import Driver, wait_until
 from tests.robustness.lying_photos import png
@@ -23,13 +23,15 @@ TOKEN = "a-token-of-the-tests-0123456789"
 def guarded():
     """The app as other machines reach it, behind its token; files up to 1 MB."""
     session = Session(State(document=Document()))
-    conductor = Conductor(session, warm_up=False)
+    controller = Controller(session, warm_up=False)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PHOTOREG_MAX_FILE_MB", "1")
-        page = Page(session, conductor, Doors("0.0.0.0", TOKEN), 0, shadows=False)
+        page = Page(
+            session, controller, AccessControl("0.0.0.0", TOKEN), 0, shadows=False
+        )
     yield page
     page.close()
-    conductor.close()
+    controller.close()
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +53,7 @@ def entered(guarded, chromium):
     window.on("console", lambda said: problems.append(said.text))
     window.on("pageerror", lambda error: problems.append(str(error)))
     window.on("websocket", lambda opened: asked.append(opened.url))
-    window.goto(Doors("127.0.0.1", TOKEN).entrance(guarded.port))
+    window.goto(AccessControl("127.0.0.1", TOKEN).entrance(guarded.port))
     yield Driver(window, f"http://127.0.0.1:{guarded.port}"), asked, problems
     context.close()
 
@@ -280,14 +282,14 @@ def test_a_browser_that_heeds_no_limit_is_refused_by_the_server(guarded, entered
     driver, _, _ = entered
     driver.dismiss_toasts()
     upload = guarded.server.gui._current_file_upload_states
-    bus = guarded._bus.upload._impl.uuid
+    bridge = guarded._bridge.upload._impl.uuid
     port = guarded.port
 
     def start(key: str, size: int, parts: int) -> bytes:
         return msgspec.msgpack.encode(
             {
                 "type": "FileTransferStartUpload",
-                "source_component_uuid": bus,
+                "source_component_uuid": bridge,
                 "transfer_uuid": key,
                 "filename": f"{key}.obj",
                 "mime_type": "",
@@ -300,7 +302,7 @@ def test_a_browser_that_heeds_no_limit_is_refused_by_the_server(guarded, entered
         return msgspec.msgpack.encode(
             {
                 "type": "FileTransferPart",
-                "source_component_uuid": bus,
+                "source_component_uuid": bridge,
                 "transfer_uuid": key,
                 "part_index": index,
                 "content": content,

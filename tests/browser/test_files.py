@@ -113,7 +113,7 @@ def test_several_files_are_chosen_at_once_and_added(running, files, tmp_path):
 def test_cancel_ends_the_reading_and_leaves_no_trace(running, files):
     app = running
     app.session.change("Begin", with_document(photos=()))
-    before, reader = app.state.document, app.conductor.intake._reader
+    before, reader = app.state.document, app.controller.intake._reader
     reader.prepare()
     # The hardest case: a reader that hangs within a file and hears nothing.
     process = reader._process
@@ -135,7 +135,7 @@ def test_cancel_ends_the_reading_and_leaves_no_trace(running, files):
 
 def test_a_reader_that_dies_is_told_and_changes_nothing(running, files):
     app = running
-    before, reader = app.state.document, app.conductor.intake._reader
+    before, reader = app.state.document, app.controller.intake._reader
     reader.prepare()
     os.kill(reader._process.pid, signal.SIGSTOP)
     drop(app.driver, {"b.png": files["b.png"]})
@@ -252,7 +252,7 @@ def test_projects_are_made_and_opened_and_a_moved_file_is_asked_for(
     running, files, tmp_path, monkeypatch
 ):
     monkeypatch.setenv("PHOTOREG_DATA", str(tmp_path / "data"))
-    app, page, projects = running, running.driver.page, running.conductor.projects
+    app, page, projects = running, running.driver.page, running.controller.projects
     for name in ("rock.obj", "a.png"):
         (tmp_path / name).write_bytes(files[name])
     app.driver.tab("1 Data")
@@ -324,4 +324,4 @@ def test_a_project_that_cannot_be_had_leaves_the_question_open(
     page.get_by_text("Project: copy").wait_for()
     assert not dialog.count()
     assert (tmp_path / "full" / "letter.txt").read_text() == "mine"
-    app.conductor.projects.close()
+    app.controller.projects.close()

@@ -2,7 +2,7 @@
 
 import pytest
 
-from app.control.controller import Conductor
+from app.control.controller import Controller
 from app.model.session import Session
 from app.model.state import State
 from app.page.server import Page
@@ -15,8 +15,8 @@ def shown(chromium):
     """The app with hostile words everywhere, a browser on it, and what that complained of."""
     states = hostile_states()
     session = Session(State(document=states[0].document))
-    conductor = Conductor(session, warm_up=False)
-    page = Page(session, conductor, port=0, shadows=False)
+    controller = Controller(session, warm_up=False)
+    page = Page(session, controller, port=0, shadows=False)
     window = chromium.new_page(viewport={"width": 1100, "height": 700})
     said: list[str] = []
     window.on("console", lambda message: said.append(message.text))
@@ -25,7 +25,7 @@ def shown(chromium):
     yield session, driver, said, states
     window.close()
     page.close()
-    conductor.close()
+    controller.close()
 
 
 def is_unharmed(driver: Driver) -> bool:

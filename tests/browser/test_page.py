@@ -264,7 +264,7 @@ def test_the_page_comes_back_after_the_network_drops_and_after_a_restart(app):
     port = app.page.port
     app.page.close()
     app.session.change("While the server was down", with_document(up=(1.0, 0.0, 0.0)))
-    app.page = Page(app.session, app.conductor, port=port, shadows=False)
+    app.page = Page(app.session, app.controller, port=port, shadows=False)
     undo = page.get_by_role("button", name="Undo: While the server was down")
     undo.wait_for(timeout=60_000)
     wait_until(app.page.server.get_clients, "it has connected")

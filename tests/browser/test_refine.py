@@ -104,7 +104,7 @@ def start(app, preset: PresetName = "thorough", hold: bool = True) -> None:
         240,
     )
     if hold:
-        app.conductor.refinement.pause()
+        app.controller.refinement.pause()
         wait_until(lambda: app.state.run.status == "paused", "it pauses")
 
 
@@ -134,13 +134,13 @@ def to_its_end(app) -> None:
 
 
 def test_different_overlays_arrive_while_the_best_cost_only_falls(app):
-    wait_until(lambda: app.conductor.picture is not None, "the start is drawn")
+    wait_until(lambda: app.controller.picture is not None, "the start is drawn")
     app.driver.frames(3)
     app.driver.page.evaluate(WATCH_OVERLAY)
     start(app, hold=False)
     app.driver.page.wait_for_function("() => overlays.size >= 5", timeout=120_000)
     app.driver.page.wait_for_function(WEARS_PHOTOS, arg=2, timeout=120_000)
-    app.conductor.refinement.pause()
+    app.controller.refinement.pause()
     costs = [point.best for point in app.state.run.curve]
     assert costs[-1] < costs[0]
     assert costs == sorted(costs, reverse=True)
@@ -269,7 +269,7 @@ def test_another_browser_sees_the_run_and_may_stop_it(app, chromium):
 
 def test_a_killed_worker_costs_no_work_and_the_next_run_ends(app):
     start(app)
-    os.kill(app.conductor.worker.pid, signal.SIGKILL)
+    os.kill(app.controller.worker.pid, signal.SIGKILL)
     wait_until(lambda: app.state.run.status == "review", "the page knows", 5)
     assert "died" in app.state.run.outcome
     assert app.state.run.cameras
@@ -352,7 +352,7 @@ class StarvesInPolish(RegistrationConfig):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits memory as Linux does")
 def test_a_run_without_memory_for_its_polish_ends_and_the_next_one_works(app):
-    worker = app.conductor.worker
+    worker = app.controller.worker
     sound = RegistrationConfig.preset("fast")
     app.session.change(
         None, setting(preset="fast", config=StarvesInPolish(**vars(sound)))
@@ -379,9 +379,9 @@ def test_a_page_that_is_closed_stops_nothing_and_shows_the_run_when_it_comes_bac
     window = app.driver.page
     window.goto("about:blank")
     n_points = len(app.state.run.curve)
-    app.conductor.refinement.resume()
+    app.controller.refinement.resume()
     wait_until(lambda: len(app.state.run.curve) > n_points + 2, "it goes on unseen")
-    app.conductor.refinement.pause()
+    app.controller.refinement.pause()
     app.driver = Driver(window, f"http://127.0.0.1:{app.page.port}")
     app.driver.dismiss_toasts()
     app.driver.tab("3 Refine")
@@ -416,12 +416,12 @@ def test_a_blink_shows_both_photos_in_turn(app):
     start(app)
     app.driver.choose("Style", "Blink")
     wait_until(
-        lambda: app.conductor.drawn.other_jpeg is not None, "both pictures are drawn"
+        lambda: app.controller.drawn.other_jpeg is not None, "both pictures are drawn"
     )
     app.driver.frames(2)
     app.driver.page.evaluate(WATCH_OVERLAY)
     app.driver.page.wait_for_function("() => overlays.size >= 2", timeout=30_000)
-    drawn = app.conductor.drawn
+    drawn = app.controller.drawn
     expected = {
         ",".join(map(str, hashlib.sha256(jpeg).digest()))
         for jpeg in (drawn.jpeg, drawn.other_jpeg)
@@ -458,7 +458,7 @@ def test_refining_again_takes_the_cameras_and_starts_from_them(app):
     wait_until(lambda: app.state.run.number == first.number + 1, "another run starts")
     assert app.state.run.start == first.cameras
     assert tuple(entry.camera for entry in app.state.document.photos) == first.cameras
-    app.conductor.refinement.pause()
+    app.controller.refinement.pause()
     drop(app)
     app.driver.click("Undo: Refine")
     wait_until(lambda: app.state.document is before, "undo takes it back")
@@ -576,7 +576,7 @@ def test_a_run_of_the_list_is_looked_at_compared_and_restored(app):
 def test_the_report_swipes_without_a_server_and_loads_nothing(app, chromium, tmp_path):
     last = next(run for run in reversed(app.state.runs) if has_moved(run))
     app.session.change(None, looking_at(last.number))
-    wait_until(lambda: app.conductor.refinement.comparison is not None, "it is drawn")
+    wait_until(lambda: app.controller.refinement.comparison is not None, "it is drawn")
     with app.driver.page.expect_download() as download:
         app.driver.click("Download report")
     path = tmp_path / "report.html"

@@ -97,18 +97,18 @@ def test_alone_on_this_machine_it_asks_for_nothing(tmp_path: Path) -> None:
 def test_a_change_sent_in_the_moment_of_its_end_is_kept(
     tmp_path: Path, number: str
 ) -> None:
-    bus: queue.Queue[str] = queue.Queue()
+    bridge: queue.Queue[str] = queue.Queue()
 
     def hear(message: dict[str, Any]) -> None:
         if message["type"] == "GuiTextMessage" and message["props"]["label"] == "page":
-            bus.put(message["uuid"])
+            bridge.put(message["uuid"])
 
     words = {"act": "rename", "photo": "shell-left.jpg", "name": "renamed.jpg"}
     with program(tmp_path) as (process, _, port):
         with listening(f"http://127.0.0.1:{port}", hear) as send:
             update = {
                 "type": "GuiUpdateMessage",
-                "uuid": bus.get(timeout=60.0),
+                "uuid": bridge.get(timeout=60.0),
                 "updates": {"value": json.dumps({**words, "count": 1, "at": 1})},
             }
             send(msgspec.msgpack.encode(update))

@@ -10,9 +10,9 @@ import pytest
 
 from photoreg.errors import InputError, OutputError
 from photoreg.geometry.projection_error import projection_error
-from photoreg.paper.experiment import Run, manual_start, methods
+from photoreg.paper.experiment import MethodRun, manual_start, methods
 from photoreg.paper.report import TABLES, correlations
-from photoreg.paper.reproduce import Reproduced, Step, reproduce
+from photoreg.paper.reproduce import Reproduced, ReproductionStep, reproduce
 from photoreg.parameters.genes import GeneBox, GeneMap
 from photoreg.polish.polish_cameras import PolishConfig
 from photoreg.registration.config import RegistrationConfig
@@ -39,7 +39,7 @@ def test_reproduce_tells_of_every_run_and_ends_with_the_files(reproduced):
     folder, events = reproduced
     *steps, last = events
     assert isinstance(last, Reproduced)
-    assert all(isinstance(step, Step) for step in steps)
+    assert all(isinstance(step, ReproductionStep) for step in steps)
     fractions = [step.fraction for step in steps]
     assert fractions == sorted(fractions)
     assert fractions[-1] == 1.0
@@ -129,7 +129,7 @@ def test_manual_starts_wider_than_the_papers_box_are_refused():
 
 def test_correlations_are_of_the_ends_and_of_the_logarithms_of_the_ways():
     def run(cost, end_px, path):
-        return Run("population", "m", 1, 20.0, end_px, cost, 1.0, 10, path)
+        return MethodRun("population", "m", 1, 20.0, end_px, cost, 1.0, 10, path)
 
     runs = [
         run(1.0, 2.0, ((10.0, 100.0), (1.0, 10.0))),

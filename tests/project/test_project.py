@@ -23,8 +23,8 @@ from photoreg.project import schema
 from photoreg.project.files import keep_file, plain_name
 from photoreg.project.folder import DATABASE
 from photoreg.project.lock import is_on_network
-from photoreg.project.project import Project, Step
-from photoreg.project.runs import Generation
+from photoreg.project.project import Project, StoredStep
+from photoreg.project.runs import StoredGeneration
 
 TYPES = [
     kind
@@ -86,7 +86,7 @@ def test_a_document_comes_back_to_the_bit(project, document):
         entry, photo=dataclasses.replace(entry.photo, mask=mask), enabled=False
     )
     document = dataclasses.replace(document, photos=(document.photos[0], masked))
-    project.write_history(-1, [Step(None, document)], 0)
+    project.write_history(-1, [StoredStep(None, document)], 0)
     project = reopened(project)
     first, (step,), now = project.read_history()
     back = step.document
@@ -108,7 +108,7 @@ def test_a_document_comes_back_to_the_bit(project, document):
 def test_what_was_made_in_memory_is_kept_in_the_project_itself(project):
     mesh, photos, cameras = toy_scene()
     document = Document(mesh, mesh, tuple(map(PhotoEntry, photos, cameras)))
-    project.write_history(-1, [Step(None, document)], 0)
+    project.write_history(-1, [StoredStep(None, document)], 0)
     project = reopened(project)
     back = project.read_history()[1][0].document
     assert back.mesh is back.display_mesh, "what is one stays one"
@@ -120,7 +120,9 @@ def test_what_was_made_in_memory_is_kept_in_the_project_itself(project):
 def test_the_history_survives_with_its_names_and_shares_what_is_the_same(
     project, document
 ):
-    steps = [Step(f"Move {i}" if i else None, moved(document, i)) for i in range(6)]
+    steps = [
+        StoredStep(f"Move {i}" if i else None, moved(document, i)) for i in range(6)
+    ]
     project.write_history(-1, steps, 3)
     project = reopened(project)
     first, back, now = project.read_history()
@@ -131,7 +133,7 @@ def test_the_history_survives_with_its_names_and_shares_what_is_the_same(
     xs = [step.document.photos[0].camera.t_cam_world[0] for step in back]
     assert np.allclose(np.diff(xs), 1.0, rtol=0, atol=1e-12)
     # A new step ends what could be redone.
-    project.write_history(3, [Step("Turn", moved(document, 9))], 4)
+    project.write_history(3, [StoredStep("Turn", moved(document, 9))], 4)
     first, back, now = project.read_history(n_back=1)
     assert (first, now) == (3, 4)
     assert [step.name for step in back] == ["Move 3", "Turn"]
@@ -187,19 +189,19 @@ def test_settings_come_back_as_they_were(project, value):
 
 
 def test_what_cannot_be_kept_is_refused_and_nothing_is_written(project, document):
-    project.write_history(-1, [Step(None, document)], 0)
+    project.write_history(-1, [StoredStep(None, document)], 0)
     with pytest.raises(TypeError, match="cannot keep a Thread"):
         project.write_history(
             -1,
             [
-                Step("a", moved(document, 1)),
-                Step("b", __import__("threading").Thread()),
+                StoredStep("a", moved(document, 1)),
+                StoredStep("b", __import__("threading").Thread()),
             ],
             1,
         )
     assert [step.name for step in project.read_history()[1]] == [None]
     # The parts that were rolled back are written again when they are needed.
-    project.write_history(0, [Step("a", moved(document, 1))], 1)
+    project.write_history(0, [StoredStep("a", moved(document, 1))], 1)
     project = reopened(project)
     assert len(project.read_history()[1]) == 2
     project.close()
@@ -209,7 +211,7 @@ def test_what_cannot_be_kept_is_refused_and_nothing_is_written(project, document
 
 
 def test_a_changed_file_is_noticed_and_never_used_unasked(project, document, files):
-    project.write_history(-1, [Step(None, document)], 0)
+    project.write_history(-1, [StoredStep(None, document)], 0)
     assert project.file_problems() == []
     path = files / "toy-1.png"
     picture = cv2.imread(str(path))
@@ -230,7 +232,7 @@ def test_a_changed_file_is_noticed_and_never_used_unasked(project, document, fil
 
 
 def test_a_moved_file_is_noticed_and_can_be_located(project, document, files, tmp_path):
-    project.write_history(-1, [Step(None, document)], 0)
+    project.write_history(-1, [StoredStep(None, document)], 0)
     elsewhere = tmp_path / "elsewhere.ply"
     (files / "rock.ply").rename(elsewhere)
     (problem,) = project.file_problems()
@@ -248,9 +250,9 @@ def test_a_step_whose_file_is_gone_is_left_out_but_stays_in_the_project(
 ):
     without = dataclasses.replace(document, photos=document.photos[:1])
     steps = [
-        Step(None, document),
-        Step("Remove", without),
-        Step("Move", moved(without, 1)),
+        StoredStep(None, document),
+        StoredStep("Remove", without),
+        StoredStep("Move", moved(without, 1)),
     ]
     project.write_history(-1, steps, 2)
     (files / "toy-1.png").rename(files / "away.png")
@@ -308,11 +310,11 @@ def test_a_name_of_any_length_can_be_kept(tmp_path):
 
 def test_saving_as_makes_a_project_of_its_own(project, document, tmp_path):
     project.keep_file("a.bin", b"abc")
-    project.write_history(-1, [Step(None, document)], 0)
+    project.write_history(-1, [StoredStep(None, document)], 0)
     project.save_as(tmp_path / "copy")
     other = Project(tmp_path / "copy", TYPES, create=False)
     assert other.read_only == ""
-    other.write_history(0, [Step("Move", moved(document, 1))], 1)
+    other.write_history(0, [StoredStep("Move", moved(document, 1))], 1)
     assert len(project.read_history()[1]) == 1
     assert (other.folder / "files" / "a.bin").read_bytes() == b"abc"
     other.close()
@@ -321,13 +323,13 @@ def test_saving_as_makes_a_project_of_its_own(project, document, tmp_path):
 
 
 def test_garbage_goes_and_what_is_needed_stays(project, document):
-    steps = [Step(None, document), Step("a", moved(document, 1))]
+    steps = [StoredStep(None, document), StoredStep("a", moved(document, 1))]
     project.write_history(-1, steps, 1)
     project.runs.add_run({}, 1, ["toy-0.png"], document.used_cameras)
     assert project.collect_garbage() == 0
     project.write_history(0, [], 0)
     assert project.collect_garbage() > 0
-    project.write_history(0, [Step("a", moved(document, 1))], 1)
+    project.write_history(0, [StoredStep("a", moved(document, 1))], 1)
     project = reopened(project)
     assert len(project.read_history()[1]) == 2
     assert len(project.runs.all()) == 1
@@ -346,7 +348,7 @@ def test_a_run_is_remembered_from_its_start_to_its_answer(project, document):
         cameras,
     )
     project.runs.add_generations(
-        run, [Generation(i, 1.0 / (i + 1), 2.0) for i in range(5)]
+        run, [StoredGeneration(i, 1.0 / (i + 1), 2.0) for i in range(5)]
     )
     project.runs.add_checkpoint(run, b"first", 3)
     project.runs.add_checkpoint(run, b"second", 5, cameras[::-1])
@@ -381,7 +383,7 @@ def test_a_run_is_remembered_from_its_start_to_its_answer(project, document):
 
 
 def test_a_second_program_may_look_but_not_write(project, document):
-    project.write_history(-1, [Step(None, document)], 0)
+    project.write_history(-1, [StoredStep(None, document)], 0)
     second = Project(project.folder, TYPES)
     assert f"process {os.getpid()}" in second.read_only
     assert len(second.read_history()[1]) == 1
@@ -389,7 +391,7 @@ def test_a_second_program_may_look_but_not_write(project, document):
         second.write_history(0, [], 0)
     with pytest.raises(OutputError, match="open in another photoreg"):
         second.keep_file("a.png", b"")
-    project.write_history(0, [Step("Move", moved(document, 1))], 1)
+    project.write_history(0, [StoredStep("Move", moved(document, 1))], 1)
     assert len(second.read_history()[1]) == 2, "it sees what the first one writes"
     second.close()
     project.close()
@@ -457,7 +459,7 @@ def test_no_project_and_foreign_or_damaged_files_are_refused_in_a_sentence(tmp_p
 def test_a_damaged_page_is_noticed(project, document):
     mesh, photos, cameras = toy_scene()
     kept = Document(mesh, mesh, tuple(map(PhotoEntry, photos, cameras)))
-    project.write_history(-1, [Step(None, kept)], 0)
+    project.write_history(-1, [StoredStep(None, kept)], 0)
     project.close()
     with project.path.open("r+b") as file:
         for page in range(3, 12):
@@ -481,7 +483,7 @@ def test_a_newer_project_is_refused_and_not_touched(project):
 def test_an_older_project_is_brought_up_to_date_after_a_copy_is_kept(
     project, document, monkeypatch
 ):
-    project.write_history(-1, [Step(None, document)], 0)
+    project.write_history(-1, [StoredStep(None, document)], 0)
     project.close()
     newer = (
         *schema.MIGRATIONS,
@@ -534,7 +536,7 @@ def test_a_full_disk_is_a_sentence(project, document):
     mesh, photos, cameras = toy_scene()
     kept = Document(mesh, mesh, tuple(map(PhotoEntry, photos, cameras)))
     with pytest.raises(OutputError, match="Is the disk full"):
-        project.write_history(-1, [Step(None, kept)], 0)
+        project.write_history(-1, [StoredStep(None, kept)], 0)
     assert project.read_history()[1] == []
 
 

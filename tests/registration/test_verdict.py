@@ -11,7 +11,7 @@ from photoreg.polish.polish_cameras import PolishConfig
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.events import Finished
 from photoreg.registration.refinement import refine
-from photoreg.registration.verdict import is_better, judge
+from photoreg.registration.verdict import decide_verdict, is_better
 from photoreg.synthetic.rough_cameras import rough_start
 from tests.scenes import small_scene
 
@@ -27,28 +27,28 @@ def test_the_true_cameras_convince_and_the_rough_ones_do_not():
     names = [photo.name for photo in scene.photos]
     right = disagreement(scene.mesh, scene.photos, scene.cameras, 0.25)
     wrong = disagreement(scene.mesh, scene.photos, scene.rough_cameras, 0.25)
-    assert judge(right, names).grade == "convincing", right
-    verdict = judge(wrong, names)
+    assert decide_verdict(right, names).grade == "convincing", right
+    verdict = decide_verdict(wrong, names)
     assert verdict.grade == "unconvincing", wrong
     assert all(name in verdict.sentence for name in names)
 
 
 def test_colours_that_agree_are_enough_where_no_outline_helps():
-    verdict = judge(fit({(0, 1): 0.02}, (0.8, 0.6)), NAMES[:2])
+    verdict = decide_verdict(fit({(0, 1): 0.02}, (0.8, 0.6)), NAMES[:2])
     assert verdict.is_credible
     assert verdict.grade == "plausible"
     assert "slide" in verdict.sentence
 
 
 def test_outlines_that_fit_are_enough_under_another_light():
-    verdict = judge(fit({(0, 1): 0.8}, (0.02, 0.03)), NAMES[:2])
+    verdict = decide_verdict(fit({(0, 1): 0.8}, (0.02, 0.03)), NAMES[:2])
     assert verdict.is_credible
     assert verdict.grade == "plausible"
     assert "light" in verdict.sentence
 
 
 def test_one_outline_does_not_speak_for_the_other_photo():
-    verdict = judge(fit({(0, 1): 0.8}, (0.02, 0.5)), NAMES[:2])
+    verdict = decide_verdict(fit({(0, 1): 0.8}, (0.02, 0.5)), NAMES[:2])
     assert not verdict.is_credible
     assert "right.jpg" in verdict.sentence
     assert "left.jpg" not in verdict.sentence
@@ -56,7 +56,7 @@ def test_one_outline_does_not_speak_for_the_other_photo():
 
 def test_a_photo_needs_one_other_that_agrees_and_only_the_odd_one_is_named():
     pairs = {(0, 1): 0.02, (0, 2): 0.9, (1, 2): 0.8}
-    verdict = judge(fit(pairs, (0.1, 0.1, 0.6)), NAMES)
+    verdict = decide_verdict(fit(pairs, (0.1, 0.1, 0.6)), NAMES)
     assert not verdict.is_credible
     assert "in top.jpg neither" in verdict.sentence
 
@@ -112,7 +112,7 @@ def test_an_outline_that_fits_noise_is_no_evidence(blur_px):
         cameras = rough_start(scene.mesh, scene.cameras, (2.0, 8.0), seed)
         fit = disagreement(scene.mesh, photos, cameras, 0.25)
         fit = against_chance(fit, scene.mesh, photos, cameras)
-        assert judge(fit, names).grade == "unconvincing", fit
+        assert decide_verdict(fit, names).grade == "unconvincing", fit
         assert min(fit.outlines) > 0.5, fit.outlines
 
 

@@ -28,7 +28,7 @@ import cv2
 import numpy as np
 
 from app.control.autosave import DOCUMENT_TYPES, Autosave
-from app.control.controller import Conductor
+from app.control.controller import Controller
 from app.control.projects import Projects
 from app.model.session import (
     Session,
@@ -315,22 +315,22 @@ def live(folder: Path, world: Path, told: IO[str], number: int, has_run: bool) -
         with Path(os.devnull).open("w") as nowhere:
             sys.stdout = nowhere
             open_project(projects, files, None, folder)
-            conductor = Conductor(session, warm_up=False, projects=projects)
-            page = Page(session, conductor, port=0, shadows=False)
+            controller = Controller(session, warm_up=False, projects=projects)
+            page = Page(session, controller, port=0, shadows=False)
             page._panels = (*page._panels, Witness(page, told))  # pyright: ignore[reportAttributeAccessIssue]
             page._wake.set()
             if has_run:
                 if session.state.run.status == "review":
                     if session.state.can_go_on:
-                        conductor.refinement.go_on()
+                        controller.refinement.go_on()
                     else:
-                        conductor.refinement.revert()
+                        controller.refinement.revert()
                 if session.state.run.status == "idle":
                     session.change(None, setting(preset="thorough"))
-                    conductor.refinement.start()
+                    controller.refinement.start()
             elif session.state.run.status == "review":
-                conductor.refinement.accept()
-            tell(told, f"ready {conductor.worker.pid}")
+                controller.refinement.accept()
+            tell(told, f"ready {controller.worker.pid}")
             for step in script(session, projects, folder, number):
                 tell(told, f"done {step} {fingerprint(session)}")
     except BaseException as error:  # noqa: BLE001 - whatever it is, it is told.

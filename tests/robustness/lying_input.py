@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from app.engine.read_job import Packed
+from app.engine.read_job import UnpackRequest
 from photoreg.formats.archives import unzipped
 from photoreg.formats.cameras.registry import read_cameras
 from photoreg.formats.meshes.read import MESH_SUFFIXES, load_mesh
@@ -68,7 +68,9 @@ def unpack(archive: Path) -> list[Path]:
     shutil.rmtree(folder, ignore_errors=True)
     around = archive.parents[1]
     before = set(around.rglob("*"))
-    paths = unzipped(archive, folder, Packed((), folder, frozenset(), False).wants)
+    paths = unzipped(
+        archive, folder, UnpackRequest((), folder, frozenset(), False).wants
+    )
     strays = {p for p in around.rglob("*") if not p.is_relative_to(folder)} - before
     assert not strays, f"files came elsewhere: {strays}"
     assert not any(path.is_symlink() for path in folder.rglob("*"))

@@ -4,7 +4,7 @@ import errno
 
 import pytest
 
-from app.control.file_intake import Intake
+from app.control.file_intake import FileIntake
 from app.engine import read_job
 from app.model.session import Session
 from photoreg.errors import InputError
@@ -12,16 +12,16 @@ from photoreg.errors import InputError
 
 @pytest.fixture
 def intake():
-    intake = Intake(Session(), lambda: None, lambda _: None)
+    intake = FileIntake(Session(), lambda: None, lambda _: None)
     yield intake
     intake.close()
 
 
-def announced(intake: Intake) -> None:
+def announced(intake: FileIntake) -> None:
     intake.expect(1, 2)
 
 
-def opened(intake: Intake) -> None:
+def opened(intake: FileIntake) -> None:
     intake.open_one("left.png", b"x")
 
 

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from app.engine.agreement_meter import Judge
+from app.engine.agreement_meter import AgreementMeter
 from app.model.camera_moves import nudged
 from app.model.state import Agreement
 from photoreg.geometry.projection_error import projection_error
@@ -19,8 +19,8 @@ def scene() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def judge(scene) -> Judge:
-    return Judge(scene.mesh, scene.photos)
+def judge(scene) -> AgreementMeter:
+    return AgreementMeter(scene.mesh, scene.photos)
 
 
 @pytest.mark.workqueue
@@ -45,7 +45,7 @@ def test_the_true_cameras_agree_and_agreement_falls_as_one_is_moved(scene, judge
 def test_the_order_of_the_photos_does_not_matter(scene, judge):
     cameras = scene.rough_cameras
     one = judge.agreement(cameras)
-    other = Judge(scene.mesh, scene.photos[::-1]).agreement(cameras[::-1])
+    other = AgreementMeter(scene.mesh, scene.photos[::-1]).agreement(cameras[::-1])
     assert one.share_seen == other.share_seen
     assert one.share == pytest.approx(other.share, abs=1e-3)
 

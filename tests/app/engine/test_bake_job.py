@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from app.engine.bake_job import Baker
+from app.engine.bake_job import BakeJob
 from app.engine.warm_up import toy_scene
 from app.model.messages import Baked, Working
 from app.model.state import ModelChoice, Texture
@@ -19,8 +19,8 @@ from photoreg.texture.blend import TextureConfig
 
 
 @pytest.fixture(scope="module")
-def baker() -> Baker:
-    return Baker()
+def baker() -> BakeJob:
+    return BakeJob()
 
 
 @pytest.fixture(scope="module")
@@ -81,11 +81,11 @@ def test_a_model_of_one_file_is_not_zipped(baker, baked, format):
 
 def test_without_a_texture_there_is_nothing_to_pack():
     with pytest.raises(InputError, match="Make it anew"):
-        Baker().pack(ModelChoice())
+        BakeJob().pack(ModelChoice())
 
 
 def test_baking_that_is_left_keeps_the_model_from_before(baked):
-    baker = Baker()
+    baker = BakeJob()
     list(baker.bake(*toy_scene()))
     before = baker.pack(ModelChoice("glb")).content
     steps = baker.bake(*toy_scene(), TextureConfig(size=256))
@@ -98,7 +98,7 @@ def test_the_model_s_own_layout_is_kept_by_choice():
     mesh, photos, cameras = toy_scene()
     own = make_atlas(mesh)
     laid_out = dataclasses.replace(mesh, corner_uv=own.uv[own.uv_faces])
-    baker = Baker()
+    baker = BakeJob()
     for keep, words in ((True, "laid out as the mesh's own"), (False, "laid out anew")):
         config = TextureConfig(size=256, keep_uv=keep)
         *_, made = baker.bake(laid_out, photos, cameras, config)

@@ -1,4 +1,4 @@
-"""The worker process, and the conductor between it and the state. No browser."""
+"""The worker process, and the controller between it and the state. No browser."""
 
 import dataclasses
 import io
@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.control.controller import Conductor
-from app.engine.agreement_meter import Judge
+from app.control.controller import Controller
+from app.engine.agreement_meter import AgreementMeter
 from app.engine.client import Worker, newest
 from app.engine.overlay_job import Drawing, Painter
-from app.engine.refine_job import Preparation, Refining
+from app.engine.refine_job import Preparation, RefineJob
 from app.model import session as rules
 from app.model.masks import encode_mask
 from app.model.messages import (
@@ -112,7 +112,7 @@ def test_a_run_begun_in_spare_time_has_the_same_answer_and_counts_no_idle_time(s
     assert not preparation.is_for(dataclasses.replace(job, cameras=moved))
     assert not preparation.is_for(dataclasses.replace(job, config=THOROUGH))
     events: list[Event] = []
-    Refining(
+    RefineJob(
         job, mesh, photos, Drawing(mesh, photos), Painter(events.append),
         lambda _: None, events.append, preparation,
     ).run(lambda _: iter(()))  # fmt: skip
@@ -220,15 +220,15 @@ def test_of_passing_events_the_newest_is_told_and_the_curve_is_whole():
 
 
 @pytest.fixture(scope="module")
-def one_conductor() -> Iterator[Conductor]:
-    conductor = Conductor(Session(), warm_up=False)
-    yield conductor
-    conductor.close()
+def one_conductor() -> Iterator[Controller]:
+    controller = Controller(Session(), warm_up=False)
+    yield controller
+    controller.close()
 
 
 @pytest.fixture
-def conductor(one_conductor, scene) -> Conductor:
-    """The conductor of all tests, with the scene opened anew."""
+def controller(one_conductor, scene) -> Controller:
+    """The controller of all tests, with the scene opened anew."""
     entries = tuple(map(PhotoEntry, scene.photos, scene.rough_cameras))
     truth = tuple(zip((e.name for e in entries), scene.cameras, strict=True))
     mesh = dataclasses.replace(scene.mesh)
@@ -239,86 +239,86 @@ def conductor(one_conductor, scene) -> Conductor:
     return one_conductor
 
 
-def wait(conductor: Conductor, condition, what: str) -> State:
-    wait_until(lambda: condition(conductor.session.state), what, timeout_s=90)
-    return conductor.session.state
+def wait(controller: Controller, condition, what: str) -> State:
+    wait_until(lambda: condition(controller.session.state), what, timeout_s=90)
+    return controller.session.state
 
 
 def improved(state: State) -> bool:
     return bool(state.run.curve) and state.run.curve[-1].best < 0.9
 
 
-def test_killing_the_worker_keeps_the_best_and_the_next_run_works(conductor):
+def test_killing_the_worker_keeps_the_best_and_the_next_run_works(controller):
     problems: list[str] = []
-    conductor.on_problem = problems.append
-    session = conductor.session
+    controller.on_problem = problems.append
+    session = controller.session
     session.change(None, rules.setting(preset="thorough"))
-    conductor.refinement.start()
-    wait(conductor, improved, "the search finds something better")
-    first_pid = conductor.worker.pid
+    controller.refinement.start()
+    wait(controller, improved, "the search finds something better")
+    first_pid = controller.worker.pid
     assert first_pid is not None
     os.kill(first_pid, signal.SIGKILL)
-    state = wait(conductor, lambda s: not s.run.is_active, "the death is noticed")
+    state = wait(controller, lambda s: not s.run.is_active, "the death is noticed")
     assert state.run.status == "review"
     assert "died" in state.run.outcome
     wait_until(lambda: problems, "the user is told")
     assert "cut short" in problems[0]
-    conductor.refinement.accept()
+    controller.refinement.accept()
     session.change(None, rules.setting(preset="fast"))
-    conductor.refinement.start()
-    state = wait(conductor, lambda s: s.run.status == "review", "the next run ends")
-    assert conductor.worker.pid != first_pid
+    controller.refinement.start()
+    state = wait(controller, lambda s: s.run.status == "review", "the next run ends")
+    assert controller.worker.pid != first_pid
     assert state.run.cost is not None
     assert state.run.start_cost is not None
     assert state.run.cost <= state.run.start_cost
 
 
 @pytest.mark.workqueue
-def test_a_run_goes_from_start_to_accept_and_back_by_undo(conductor):
-    session = conductor.session
+def test_a_run_goes_from_start_to_accept_and_back_by_undo(controller):
+    session = controller.session
     session.change(None, rules.setting(preset="fast"))
     before = session.state.document
-    conductor.refinement.start()
+    controller.refinement.start()
     with pytest.raises(RefinementError, match="running"):
-        conductor.refinement.start()
-    state = wait(conductor, lambda s: s.run.status == "review", "the run ends")
+        controller.refinement.start()
+    state = wait(controller, lambda s: s.run.status == "review", "the run ends")
     costs = [point.best for point in state.run.curve]
     assert len(costs) > 3
     assert session.state.document is before, "nothing is taken before Accept"
-    conductor.refinement.accept()
+    controller.refinement.accept()
     assert session.undo() == "Refine"
     assert session.state.document is before
 
 
-def test_a_conductor_s_stop_waits_for_a_decision(conductor):
-    session = conductor.session
+def test_a_conductor_s_stop_waits_for_a_decision(controller):
+    session = controller.session
     session.change(None, rules.setting(preset="thorough"))
-    conductor.refinement.start()
-    wait(conductor, lambda s: s.run.status == "running", "the search runs")
-    conductor.refinement.stop()
-    state = wait(conductor, lambda s: s.run.status == "review", "it stops")
+    controller.refinement.start()
+    wait(controller, lambda s: s.run.status == "running", "the search runs")
+    controller.refinement.stop()
+    state = wait(controller, lambda s: s.run.status == "review", "it stops")
     assert state.run.outcome.startswith("Stopped")
-    conductor.refinement.revert()
+    controller.refinement.revert()
     assert session.state.run.status == "idle"
 
 
 def test_a_run_that_was_stopped_goes_on_to_the_answer_of_one_without_a_break(
-    conductor, scene
+    controller, scene
 ):
-    session, steps = conductor.session, []
+    session, steps = controller.session, []
     config = dataclasses.replace(
         FAST, genetic=dataclasses.replace(FAST.genetic, generations=80)
     )
     session.listen(lambda _, new: steps.append(new.run.step))
     session.change(None, rules.setting(preset="fast", config=config))
-    conductor.refinement.start()
-    wait(conductor, lambda s: s.kept_search is not None, "something is kept")
-    conductor.refinement.stop()
-    wait(conductor, lambda s: s.run.status == "review", "it stops")
+    controller.refinement.start()
+    wait(controller, lambda s: s.kept_search is not None, "something is kept")
+    controller.refinement.stop()
+    wait(controller, lambda s: s.run.status == "review", "it stops")
     assert session.state.can_go_on
     steps.clear()
-    conductor.refinement.go_on()
-    state = wait(conductor, lambda s: s.run.status == "review", "it ends")
+    controller.refinement.go_on()
+    state = wait(controller, lambda s: s.run.status == "review", "it ends")
     assert not state.can_go_on, "it came to its end"
     assert len(state.runs) == 1
     assert "generation 0 of 80" not in steps, "what was done is not done again"
@@ -330,11 +330,11 @@ def test_a_run_that_was_stopped_goes_on_to_the_answer_of_one_without_a_break(
         assert np.array_equal(ours.P, direct.P)
 
 
-def test_an_uploaded_photo_gets_a_camera_that_sees_the_object(conductor, scene):
-    session = conductor.session
+def test_an_uploaded_photo_gets_a_camera_that_sees_the_object(controller, scene):
+    session = controller.session
     data = cv2.imencode(".png", scene.photos[0].pixels)[1].tobytes()
-    conductor.intake.open_one("../../etc/new one.png", data)
-    state = wait(conductor, lambda s: len(s.document.photos) == 3, "it is added")
+    controller.intake.open_one("../../etc/new one.png", data)
+    state = wait(controller, lambda s: len(s.document.photos) == 3, "it is added")
     entry = state.document.photos[2]
     assert entry.name == "new one.png"
     assert entry.camera.contains(entry.camera.project(scene.mesh.vertices)).all()
@@ -342,52 +342,52 @@ def test_an_uploaded_photo_gets_a_camera_that_sees_the_object(conductor, scene):
     assert session.undo() == "Add new one.png"
 
 
-def test_a_bad_upload_is_told_and_changes_nothing(conductor):
+def test_a_bad_upload_is_told_and_changes_nothing(controller):
     problems: list[str] = []
-    conductor.on_problem = problems.append
-    document = conductor.session.state.document
-    conductor.intake.open_one("notes.jpg", b"not a picture")
+    controller.on_problem = problems.append
+    document = controller.session.state.document
+    controller.intake.open_one("notes.jpg", b"not a picture")
     wait_until(lambda: problems, "the user is told")
     assert "notes.jpg could not be read" in problems[0]
     with pytest.raises(InputError, match="suffix"):
-        conductor.intake.open_one("mesh.exe", b"MZ")
-    assert conductor.session.state.document is document
-    assert conductor.session.state.job is None
+        controller.intake.open_one("mesh.exe", b"MZ")
+    assert controller.session.state.document is document
+    assert controller.session.state.job is None
 
 
-def test_cancel_ends_the_reading_of_a_camera_file_and_leaves_no_trace(conductor):
-    document = conductor.session.state.document
+def test_cancel_ends_the_reading_of_a_camera_file_and_leaves_no_trace(controller):
+    document = controller.session.state.document
     # Read to its end, it takes seconds and is refused.
-    conductor.intake.open_one("slow.yml", b"%YAML:1.0\n---\n" + b"- a\n" * 1_200_000)
-    wait(conductor, lambda s: s.job.title == "Reading the cameras", "it is read")
-    assert conductor.intake.cancel()
-    state = conductor.session.state
+    controller.intake.open_one("slow.yml", b"%YAML:1.0\n---\n" + b"- a\n" * 1_200_000)
+    wait(controller, lambda s: s.job.title == "Reading the cameras", "it is read")
+    assert controller.intake.cancel()
+    state = controller.session.state
     assert state.document is document
     assert state.job is None
     assert state.note == "Cancelled; nothing was opened."
     data = b"%YAML:1.0\n---\ncameras: [ ]\n"
     told: list[str] = []
-    conductor.on_problem = told.append
-    conductor.intake.open_one("none.yml", data)
+    controller.on_problem = told.append
+    controller.intake.open_one("none.yml", data)
     wait_until(lambda: told, "the next file is read")
     assert told == ["none.yml has no cameras."]
 
 
-def test_the_overlay_follows_the_cameras_and_tells_the_true_error(conductor):
-    session = conductor.session
-    wait(conductor, lambda s: s.run.error_px is not None, "the first overlay")
-    first, error = conductor.picture, session.state.run.error_px
+def test_the_overlay_follows_the_cameras_and_tells_the_true_error(controller):
+    session = controller.session
+    wait(controller, lambda s: s.run.error_px is not None, "the first overlay")
+    first, error = controller.picture, session.state.run.error_px
     true = dict(session.state.document.truth)
     session.change("Put right", rules.with_cameras(true))
     assert error is not None
     assert error > 1.0
-    wait(conductor, lambda s: s.run.error_px < 1e-6, "the overlay follows")
-    assert conductor.picture != first
+    wait(controller, lambda s: s.run.error_px < 1e-6, "the overlay follows")
+    assert controller.picture != first
 
 
-def test_of_a_stroke_of_a_mask_only_the_mask_is_sent(conductor, scene, monkeypatch):
-    session, worker = conductor.session, conductor.worker
-    first = wait(conductor, lambda s: s.agreement is not None, "the first number")
+def test_of_a_stroke_of_a_mask_only_the_mask_is_sent(controller, scene, monkeypatch):
+    session, worker = controller.session, controller.worker
+    first = wait(controller, lambda s: s.agreement is not None, "the first number")
     n_bytes: list[int] = []
 
     def send(*jobs: Job) -> None:
@@ -399,9 +399,9 @@ def test_of_a_stroke_of_a_mask_only_the_mask_is_sent(conductor, scene, monkeypat
     for mask in (left, np.ones_like(left)):
         before = session.state.agreement
         session.change("Paint", with_entry(0, mask_png=encode_mask(mask)))
-        wait(conductor, lambda s, old=before: s.agreement is not old, "the number")
+        wait(controller, lambda s, old=before: s.agreement is not old, "the number")
         photos = [entry.masked_photo for entry in session.state.document.used]
-        true = Judge(scene.mesh, photos).agreement(scene.rough_cameras)
+        true = AgreementMeter(scene.mesh, photos).agreement(scene.rough_cameras)
         assert session.state.agreement == true
         assert (true == first.agreement) == mask.all()
     # One mask and one overlay a stroke; the mesh and photos are a megabyte.
@@ -411,23 +411,23 @@ def test_of_a_stroke_of_a_mask_only_the_mask_is_sent(conductor, scene, monkeypat
 
 
 @pytest.mark.workqueue
-def test_baking_is_stopped_between_its_steps_and_then_works(conductor):
-    session = conductor.session
-    conductor.bake()
-    conductor.stop_job()
-    state = wait(conductor, lambda s: s.job is None, "it stops")
+def test_baking_is_stopped_between_its_steps_and_then_works(controller):
+    session = controller.session
+    controller.bake()
+    controller.stop_job()
+    state = wait(controller, lambda s: s.job is None, "it stops")
     assert state.texture is None
     assert state.note.startswith("Stopped")
     config = TextureConfig(size=256, unseen="colour")
     session.change(None, rules.setting(texture_config=config))
-    conductor.bake()
-    state = wait(conductor, lambda s: s.texture is not None, "the texture is made")
+    controller.bake()
+    state = wait(controller, lambda s: s.texture is not None, "the texture is made")
     assert state.texture_is_current
     session.change(None, rules.setting(texture_config=TextureConfig()))
     assert not session.state.texture_is_current
     files: list[tuple[str, bytes]] = []
     session.change(None, rules.setting(model_choice=ModelChoice("glb")))
-    conductor.pack_model(lambda name, content: files.append((name, content)))
+    controller.pack_model(lambda name, content: files.append((name, content)))
     wait_until(lambda: files, "the file is packed")
     assert files[0][0].endswith(".glb")
     assert files[0][1][:4] == b"glTF"
@@ -435,19 +435,19 @@ def test_baking_is_stopped_between_its_steps_and_then_works(conductor):
 
 
 def test_what_may_move_reaches_the_worker_with_the_photos_that_it_is_about(
-    conductor, scene, monkeypatch
+    controller, scene, monkeypatch
 ):
     sent: list[Job] = []
-    monkeypatch.setattr(conductor.worker, "send", lambda *jobs: sent.extend(jobs))
-    two = conductor.session.state.document
+    monkeypatch.setattr(controller.worker, "send", lambda *jobs: sent.extend(jobs))
+    two = controller.session.state.document
     third = dataclasses.replace(two.photos[0].photo, name="third.png")
     three = dataclasses.replace(
         two, photos=(*two.photos, PhotoEntry(third, two.photos[0].camera))
     )
     for document in (three, two, three):
         last = document.photos[-1].name
-        conductor.session.restore(
-            [rules.Step(None, document)], 0, {"held": ((last, "focal"),)}
+        controller.session.restore(
+            [rules.UndoStep(None, document)], 0, {"held": ((last, "focal"),)}
         )
     photos = len(two.photos)
     n_told = 0

@@ -3,7 +3,7 @@
 import multiprocessing
 from pathlib import Path
 
-from app.engine.read_job import Wanted, _pump
+from app.engine.read_job import ReadRequest, _pump
 from app.model.messages import Failed, ReadAll, Reading, ReadingEvent
 
 
@@ -19,7 +19,7 @@ def test_the_file_at_which_a_decoder_died_is_named():
     process.start()
     theirs.close()
     events: list[ReadingEvent] = []
-    _pump(process, ours, Wanted((Path("p.dng"),), None, {}), events.append)
+    _pump(process, ours, ReadRequest((Path("p.dng"),), None, {}), events.append)
     assert isinstance(events[-1], ReadAll)
     assert not events[-1].complete
     failed = events[-2]

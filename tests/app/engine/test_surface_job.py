@@ -9,7 +9,7 @@ from app.engine.surface_job import LiveSurface
 from app.engine.warm_up import toy_scene
 from app.model.camera_moves import DisplayFrame
 from app.model.messages import SMALL_PX
-from app.web.photo_server import Pictures
+from app.web.photo_server import PhotoServer
 from photoreg.imaging.photo import Photo
 
 COMPONENTS = {5126: "<f4", 5125: "<u4", 5123: "<u2"}
@@ -54,7 +54,7 @@ def test_each_face_wears_the_photo_at_the_place_where_its_camera_puts_it():
 
 def test_the_photos_are_fetched_reduced_and_keys_are_no_other_server_s():
     photo = Photo("wide.png", np.zeros((500, 1000, 3), np.uint8))
-    ours, theirs = Pictures(), Pictures()
+    ours, theirs = PhotoServer(), PhotoServer()
     address = ours.address(photo, "small")
     found = ours.find(address)
     assert found is not None

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from app.control.camera_claims import Hands
+from app.control.camera_claims import CameraClaims
 from app.model import camera_numbers
 from app.model.camera_moves import orbited
 from photoreg.errors import InputError
@@ -113,11 +113,11 @@ def test_what_no_camera_has_is_refused_in_one_sentence(camera, change, says):
 
 
 def test_a_camera_is_in_one_hand_at_a_time():
-    hands = Hands()
-    assert hands.take(1, 0, 60.0)
-    assert not hands.take(2, 0, 60.0)
-    assert hands.take(2, 1, 60.0), "the other camera is free"
-    assert hands.take(1, 0, 60.0), "one's own hand may go on"
-    hands.drop(1)
-    assert hands.take(2, 0, 0.0)
-    assert hands.take(1, 0, 1.0), "a hand that has rested lets go"
+    claims = CameraClaims()
+    assert claims.take(1, 0, 60.0)
+    assert not claims.take(2, 0, 60.0)
+    assert claims.take(2, 1, 60.0), "the other camera is free"
+    assert claims.take(1, 0, 60.0), "one's own hand may go on"
+    claims.drop(1)
+    assert claims.take(2, 0, 0.0)
+    assert claims.take(1, 0, 1.0), "a hand that has rested lets go"

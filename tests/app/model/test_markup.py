@@ -9,7 +9,7 @@ import pytest
 from viser import _messages
 
 from app.control import run_report
-from app.control.controller import Conductor
+from app.control.controller import Controller
 from app.model.markup import escaped, in_markdown, mounted, sending
 from app.model.messages import Compared
 from app.model.session import Session
@@ -51,8 +51,8 @@ def shown():
     """All HTML, and all Markdown, that the page's panels send for the hostile states."""
     states = hostile_states()
     session = Session(State())
-    conductor = Conductor(session, warm_up=False)
-    page = Page(session, conductor, port=0, shadows=False)
+    controller = Controller(session, warm_up=False)
+    page = Page(session, controller, port=0, shadows=False)
     found: dict[str, set[str]] = {"content": set(), "_markdown": set()}
     page._closed = True  # Its painter ends: the test paints.
     page._paint_soon()
@@ -76,7 +76,7 @@ def shown():
                         texts.add(values[name])
     finally:
         page.close()
-        conductor.close()
+        controller.close()
     return found
 
 

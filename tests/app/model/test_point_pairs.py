@@ -6,7 +6,7 @@ from threading import Event
 import numpy as np
 import pytest
 
-from app.control.resection_solver import Solver, solved
+from app.control.resection_solver import ResectionSolver, solved
 from app.engine.warm_up import toy_scene
 from app.model import point_pairs
 from app.model import session as rules
@@ -125,7 +125,7 @@ def true_pairs(entry: PhotoEntry, mesh, n: int) -> tuple[PointPair, ...]:
 
 
 def test_a_click_and_the_camera_that_follows_are_one_undo_step(session, document):
-    solver = Solver(session)
+    solver = ResectionSolver(session)
     try:
         entry = document.photos[0]
         truth = entry.camera
@@ -171,7 +171,7 @@ def test_the_pairs_of_a_photo_selected_during_a_run_are_solved(session, document
     pairs = true_pairs(document.photos[1], document.mesh, 8)
     session.change("Points", rules.with_entry(1, pairs=pairs))
     session.change(None, rules.setting(run=run))
-    solver = Solver(session)
+    solver = ResectionSolver(session)
     try:
         session.change(None, rules.select(1))
         wait_until(lambda: session.state.current_solution, "photo 2 is solved", 20)
@@ -214,7 +214,7 @@ def test_a_click_while_older_pairs_are_solved_still_places_the_camera(
 
     monkeypatch.setattr("app.control.resection_solver.solved", slowly)
     session.change("Spoil", rules.with_entry(0, camera=wrong, pairs=pairs[:7]))
-    solver = Solver(session)
+    solver = ResectionSolver(session)
     try:
         assert begun.wait(20)
         session.change("Point", rules.with_entry(0, pairs=pairs), "click")

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from app.control.controller import Conductor
+from app.control.controller import Controller
 from app.model.failures import UNFORESEEN
 from app.model.messages import Working
 from app.model.scene_files import demo_folder, open_folder
@@ -37,11 +37,11 @@ def page(tmp_path, monkeypatch):
     monkeypatch.setenv("PHOTOREG_DATA", str(tmp_path))
     monkeypatch.setattr(server, "ViewPanel", UnhurriedPanel)
     session = Session()
-    conductor = Conductor(session)
-    page = Page(session, conductor, port=0)
+    controller = Controller(session)
+    page = Page(session, controller, port=0)
     yield page
     page.close()
-    conductor.close()
+    controller.close()
 
 
 def test_each_of_many_browsers_at_once_gets_its_own_choice_of_views(page, caplog):
@@ -160,11 +160,11 @@ def test_what_fails_off_the_event_loop_reaches_the_people_too(page, monkeypatch)
         page.session.read_only = "It is open to look at only."
         name = page.session.state.document.photos[0].name
         stroke = {"stroke": [[9, 9]], "radius": 5, "counts": False, "photo": name}
-        page._bus._deliver(json.dumps({"act": "paint", **stroke}), client)
+        page._bridge._deliver(json.dumps({"act": "paint", **stroke}), client)
         wait_until(lambda: any("look at only" in text for text in said), "it is told")
         # What the worker tells comes on a thread as well, and nobody clicked.
         monkeypatch.setattr("app.model.reducers.worked", lambda *_: 1 / 0)
         for _ in range(5):
-            page.conductor._hear(Working("Packing", 0.5))
+            page.controller._hear(Working("Packing", 0.5))
         wait_until(lambda: any(UNFORESEEN in text for text in said), "all are told")
     assert len([text for text in said if UNFORESEEN in text]) == 1

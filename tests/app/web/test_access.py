@@ -7,7 +7,7 @@ import pytest
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from app.web.access import Doors, cookie_name
+from app.web.access import AccessControl, cookie_name
 from app.web.token_guesses import MOST_WRONG, WINDOW_S, Guesses
 from photoreg.errors import InputError
 
@@ -16,18 +16,22 @@ PORT = 8080
 
 
 def ask(
-    doors: Doors, host: str, path: str = "/", peer: str = "127.0.0.1", **headers: str
+    access: AccessControl,
+    host: str,
+    path: str = "/",
+    peer: str = "127.0.0.1",
+    **headers: str,
 ) -> Response | None:
     given = Headers(Host=host)
     for name, value in headers.items():
         given[name.replace("_", "-")] = value
-    return doors.answer(Request(path, given), PORT, peer)
+    return access.answer(Request(path, given), PORT, peer)
 
 
-def enters(doors: Doors, host: str, origin: str) -> bool:
+def enters(access: AccessControl, host: str, origin: str) -> bool:
     """Whether a page of this origin, at this host, may connect."""
     cookie = f"{cookie_name(PORT)}={TOKEN}"
-    return ask(doors, host, Cookie=cookie, Upgrade="websocket", Origin=origin) is None
+    return ask(access, host, Cookie=cookie, Upgrade="websocket", Origin=origin) is None
 
 
 @pytest.mark.parametrize(
@@ -48,17 +52,17 @@ def enters(doors: Doors, host: str, origin: str) -> bool:
     ],
 )
 def test_an_address_is_compared_as_browsers_send_it(address, host, origin):
-    doors = Doors("127.0.0.1", TOKEN, address)
-    assert enters(doors, host, f"{origin or 'https'}://{host}")
-    assert not enters(doors, host, f"{origin or 'https'}://evil.example")
-    assert not enters(doors, f"{host}.evil.example", f"https://{host}.evil.example")
-    assert not enters(doors, "evil.example", "https://evil.example")
-    assert doors.entrance(PORT).endswith(f"/?token={TOKEN}")
+    access = AccessControl("127.0.0.1", TOKEN, address)
+    assert enters(access, host, f"{origin or 'https'}://{host}")
+    assert not enters(access, host, f"{origin or 'https'}://evil.example")
+    assert not enters(access, f"{host}.evil.example", f"https://{host}.evil.example")
+    assert not enters(access, "evil.example", "https://evil.example")
+    assert access.entrance(PORT).endswith(f"/?token={TOKEN}")
 
 
 def test_the_address_that_is_printed_is_the_browsers():
-    doors = Doors("127.0.0.1", TOKEN, "HTTPS://Photos.Example.org.:443/")
-    assert doors.entrance(PORT, with_token=False) == "https://photos.example.org"
+    access = AccessControl("127.0.0.1", TOKEN, "HTTPS://Photos.Example.org.:443/")
+    assert access.entrance(PORT, with_token=False) == "https://photos.example.org"
 
 
 @pytest.mark.parametrize(
@@ -86,15 +90,15 @@ def test_the_address_that_is_printed_is_the_browsers():
 )
 def test_what_is_no_address_is_refused_in_one_sentence(address):
     with pytest.raises(InputError, match="address") as refused:
-        Doors("127.0.0.1", TOKEN, address)
+        AccessControl("127.0.0.1", TOKEN, address)
     assert "\n" not in str(refused.value)
     assert "secret" not in str(refused.value)
 
 
 def test_hosts_and_origins_that_are_no_hosts_are_foreign():
-    doors = Doors()
-    assert ask(doors, f"127.0.0.1:{PORT}") is None
-    assert ask(doors, f"LOCALHOST:{PORT}") is None
+    access = AccessControl()
+    assert ask(access, f"127.0.0.1:{PORT}") is None
+    assert ask(access, f"LOCALHOST:{PORT}") is None
     for host in (
         "",
         "127.0.0.1:port",
@@ -102,18 +106,18 @@ def test_hosts_and_origins_that_are_no_hosts_are_foreign():
         "127.0.0.1@evil.example",
         "[::1",
     ):
-        refused = ask(doors, host)
+        refused = ask(access, host)
         assert refused is not None, host
         assert refused.status_code == http.HTTPStatus.FORBIDDEN
 
 
 def test_guesses_are_logged_and_after_ten_a_minute_not_looked_at(caplog):
     now = [0.0]
-    doors = Doors("0.0.0.0", TOKEN, guesses=Guesses(lambda: now[0]))
+    access = AccessControl("0.0.0.0", TOKEN, guesses=Guesses(lambda: now[0]))
     host, guesser = f"192.0.2.1:{PORT}", "203.0.113.7"
 
     def status(token: str, peer: str = guesser) -> int:
-        answer = ask(doors, host, f"/?token={token}", peer)
+        answer = ask(access, host, f"/?token={token}", peer)
         assert answer is not None
         return answer.status_code
 
@@ -132,12 +136,12 @@ def test_guesses_are_logged_and_after_ten_a_minute_not_looked_at(caplog):
 
 
 def test_cookies_are_guesses_too_but_an_old_page_locks_nobody_out():
-    doors = Doors("0.0.0.0", TOKEN, guesses=Guesses())
+    access = AccessControl("0.0.0.0", TOKEN, guesses=Guesses())
     host, peer = f"192.0.2.1:{PORT}", "203.0.113.7"
 
     def status(token: str) -> int:
         cookie = f"{cookie_name(PORT)}={token}"
-        answer = ask(doors, host, peer=peer, Cookie=cookie)
+        answer = ask(access, host, peer=peer, Cookie=cookie)
         return 200 if answer is None else answer.status_code
 
     assert [status("of-yesterday") for _ in range(50)] == [403] * 50
@@ -148,11 +152,11 @@ def test_cookies_are_guesses_too_but_an_old_page_locks_nobody_out():
 
 
 def test_behind_a_proxy_one_who_guesses_keeps_no_other_out():
-    doors = Doors("127.0.0.1", TOKEN, "https://photos.example.org")
+    access = AccessControl("127.0.0.1", TOKEN, "https://photos.example.org")
 
     def status(token: str, forwarded: str) -> int:
         path, host = f"/?token={token}", "photos.example.org"
-        answer = ask(doors, host, path, X_Forwarded_For=forwarded)
+        answer = ask(access, host, path, X_Forwarded_For=forwarded)
         assert answer is not None
         return answer.status_code
 
@@ -166,4 +170,4 @@ def test_behind_a_proxy_one_who_guesses_keeps_no_other_out():
 @pytest.mark.parametrize("token", ["short", "x" * 15, "x" * 20 + " ", "ü" * 20])
 def test_a_token_that_is_short_or_odd_is_refused_in_one_sentence(token):
     with pytest.raises(InputError, match="at least 16 characters"):
-        Doors.with_a_token("127.0.0.1", token)
+        AccessControl.with_a_token("127.0.0.1", token)

@@ -13,7 +13,7 @@ import pytest
 import viser
 from viser import _messages
 
-from app.control.controller import Conductor
+from app.control.controller import Controller
 from app.control.projects import Projects
 from app.engine.warm_up import toy_scene
 from app.model.session import Session, setting
@@ -62,11 +62,11 @@ def page(tmp_path, monkeypatch):
     mesh, photos, cameras = toy_scene()
     entries = tuple(map(PhotoEntry, photos, cameras))
     session = Session(State(document=Document(mesh, mesh, entries)))
-    conductor = Conductor(session, warm_up=False)
-    page = Page(session, conductor, port=0)
+    controller = Controller(session, warm_up=False)
+    page = Page(session, controller, port=0)
     yield page
     page.close()
-    conductor.close()
+    controller.close()
 
 
 @contextlib.contextmanager
@@ -166,11 +166,11 @@ def test_every_widget_survives_every_hostile_value(page, caplog, capfd):
 
 
 def test_every_message_of_the_scripts_survives_every_hostile_value(page, caplog, capfd):
-    bus = page._bus._text._impl.uuid
+    bridge = page._bridge._text._impl.uuid
     plain = [v for v in HOSTILE if not isinstance(v, bytes | msgspec.msgpack.Ext)]
     name = page.session.state.document.photos[0].name
     with browsing(page) as (send, _):
-        for act, (_, fields) in page._bus._handlers.items():
+        for act, (_, fields) in page._bridge._handlers.items():
             if act == "stop":
                 continue
             for value in [*plain, 10**40, "\ud800", [[1e308, "x"]]]:
@@ -179,9 +179,9 @@ def test_every_message_of_the_scripts_survives_every_hostile_value(page, caplog,
                 values = dict.fromkeys(fields, value)
                 named = {"photo": name} if act != "remove" else {}
                 for given in (values, {**values, **named}, {}):
-                    send(update(bus, value=json.dumps({"act": act, **given})))
+                    send(update(bridge, value=json.dumps({"act": act, **given})))
         for text in ("", "[]", "{}", "1", "[" * 5000, '{"act": []}', '{"act": "none"}'):
-            send(update(bus, value=text))
+            send(update(bridge, value=text))
         toggle_dark(page, send)
         assert_alive(page)
     assert len(page.session.state.document.photos) == 2
@@ -189,7 +189,7 @@ def test_every_message_of_the_scripts_survives_every_hostile_value(page, caplog,
 
 
 def test_what_the_scripts_do_send_is_done(page):
-    session, bus = page.session, page._bus._text._impl.uuid
+    session, bridge = page.session, page._bridge._text._impl.uuid
     first, second = (entry.name for entry in session.state.document.photos)
     photo = {"photo": first}
 
@@ -224,7 +224,7 @@ def test_what_the_scripts_do_send_is_done(page):
             ({"act": "batch", "files": 2}, lambda: session.state.job is not None),
             ({"act": "stop"}, lambda: session.state.job is None),
         ):
-            send(update(bus, value=json.dumps({**photo, **message})))
+            send(update(bridge, value=json.dumps({**photo, **message})))
             wait_until(done, message["act"], 20)
 
 
@@ -352,8 +352,8 @@ def test_extremes_typed_into_every_field_leave_the_page_and_its_project_whole(
     session = Session()
     projects = Projects(session)
     projects.new(Document(mesh, mesh, entries), tmp_path / "project")
-    conductor = Conductor(session, projects=projects, warm_up=False)
-    page = Page(session, conductor, port=0)
+    controller = Controller(session, projects=projects, warm_up=False)
+    page = Page(session, controller, port=0)
     try:
         with browsing(page) as (send, _):
             for uuid, handle in inputs(page).items():
@@ -369,7 +369,7 @@ def test_extremes_typed_into_every_field_leave_the_page_and_its_project_whole(
                     else:
                         values = [text] if isinstance(handle.value, str) else [value]
                     for given in values:
-                        if uuid != page._bus._text._impl.uuid:
+                        if uuid != page._bridge._text._impl.uuid:
                             send(update(uuid, value=given))
             toggle_dark(page, send)
             assert_alive(page)
@@ -379,7 +379,7 @@ def test_extremes_typed_into_every_field_leave_the_page_and_its_project_whole(
         assert not session.state.saving
     finally:
         page.close()
-        conductor.close()
+        controller.close()
         projects.close()
     again = Session()
     reopened = Projects(again)

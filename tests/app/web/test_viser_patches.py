@@ -6,9 +6,9 @@ import threading
 import pytest
 from viser import _messages
 
-from app.web.access import Doors, start_viser
-from app.web.photo_server import Pictures
-from app.web.viser_patches import LoopEvent, WakeningBuffer
+from app.web.access import AccessControl, start_viser
+from app.web.photo_server import PhotoServer
+from app.web.viser_patches import LoopEvent, ThreadSafeBuffer
 from tests.browser.driver import wait_until
 
 N_BROWSERS, N_MESSAGES = 30, 3_000
@@ -35,7 +35,7 @@ async def _wind_up() -> None:
 
 
 def test_messages_of_another_thread_reach_every_browser(loop):
-    buffer = WakeningBuffer(loop, persistent_messages=True)
+    buffer = ThreadSafeBuffer(loop, persistent_messages=True)
     buffer.window_duration_sec = 0.0
 
     last = _messages.SetGuiPanelLabelMessage("last")
@@ -68,8 +68,8 @@ def test_another_thread_leaves_the_loops_waiters_alone(loop):
 
 
 def test_the_page_uses_it():
-    server = start_viser(Doors(), 0, Pictures())
+    server = start_viser(AccessControl(), 0, PhotoServer())
     try:
-        assert isinstance(server._websock_server._broadcast_buffer, WakeningBuffer)
+        assert isinstance(server._websock_server._broadcast_buffer, ThreadSafeBuffer)
     finally:
         server.stop()

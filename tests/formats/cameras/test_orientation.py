@@ -9,7 +9,7 @@ import pytest
 from PIL import ExifTags, Image
 
 from app.model.camera_moves import first_camera
-from app.model.scene_files import with_cameras
+from app.model.scene_files import with_cameras_of_file
 from app.model.state import Document, PhotoEntry
 from photoreg.cli.commands import run
 from photoreg.errors import InputError
@@ -223,7 +223,7 @@ def test_case_is_passed_over_where_that_leaves_no_doubt():
     with pytest.raises(InputError, match=r"no camera for IMG_1\.JPG"):
         both.of_photos([photo])
     entry = PhotoEntry(photo, first_camera(None, photo, (0, -1, 0)))
-    found = with_cameras(
+    found = with_cameras_of_file(
         Document(photos=(entry,)), CameraFile({"img_1.jpg": camera}), "c"
     )
     assert found.photos[0].camera.focal_px == camera.focal_px
