@@ -6,7 +6,7 @@ PNG chunks, the colour boxes of HEIF and AVIF, the size and turn of JPEG XL.
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO
 
 from photoreg.sources import open_for_reading
 
@@ -44,7 +44,7 @@ def heif_colours(path: Path) -> list[tuple[int, int]]:
     ]
 
 
-def _boxes(file: BinaryIO) -> Iterator[tuple[bytes, bytes]]:
+def _boxes(file: IO[bytes]) -> Iterator[tuple[bytes, bytes]]:
     """The boxes of a file of ISO's base media format; long ones without content."""
     while len(head := file.read(8)) == 8:
         size, n_head = int.from_bytes(head[:4], "big"), 8
