@@ -25,6 +25,8 @@ class Limits:
     """Triangles of a mesh, in millions; vertices may be three times as many."""
     photo_megapixels: float = 120.0
     """Pixels of a photo, or of a mesh's own texture, in millions."""
+    project_mb: float = 1000.0
+    """Size of a project's database, and of the values that it unpacks to, in MB."""
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
@@ -59,6 +61,11 @@ class Limits:
     def file_bytes(self) -> int:
         """``file_mb`` in bytes."""
         return int(self.file_mb * 1e6)
+
+    @property
+    def project_bytes(self) -> int:
+        """``project_mb`` in bytes."""
+        return int(self.project_mb * 1e6)
 
     @property
     def photo_pixels(self) -> int:

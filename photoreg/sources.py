@@ -71,7 +71,12 @@ def source_file(path: Path) -> SourceFile:
     with open_for_reading(path) as file:
         size = os.fstat(file.fileno()).st_size
         digest = hashlib.sha256()
-        while chunk := file.read(1 << 20):
+        left = size
+        while chunk := file.read(min(left, 1 << 20) + 1):
+            left -= len(chunk)
+            if left < 0:
+                # It grows, or it is one of the system's that have no size and no end.
+                raise OSError(errno.EFBIG, "it is longer than its size", str(path))
             digest.update(chunk)
     return SourceFile(path.absolute(), digest.hexdigest(), size)
 

@@ -9,7 +9,6 @@ import functools
 import logging
 import threading
 import time
-import types
 import typing
 from collections.abc import Callable
 from typing import Any
@@ -20,6 +19,7 @@ from app.model.session import Session, UndoStep, setting
 from app.model.state import Document, State
 from photoreg.errors import InputError, OutputError, PhotoregError
 from photoreg.project.project import Project, StoredStep
+from photoreg.project.types import fits
 
 log = logging.getLogger(__name__)
 
@@ -88,6 +88,9 @@ DOCUMENT_TYPES = tuple(
 """What a project may hold besides the engine's own."""
 
 
+RUNS_TYPE = tuple[Run, ...]
+
+
 class Autosave:
     """Writes a session's history, choices and run into a project until it is closed."""
 
@@ -118,20 +121,20 @@ class Autosave:
         Raises:
             InputError: if it cannot be read.
         """
-        first, steps, now = self.project.read_history()
+        first, steps, now = self.project.read_history(kind=Document)
         if not steps:
             return None
         self._first = first
         self._written = [UndoStep(step.name, step.document) for step in steps]
         self._written_now = now - first
-        run = self.project.read_setting("run", Run())
-        runs = self.project.read_setting("runs", ())
+        run = self.project.read_setting("run", Run(), Run)
+        runs = self.project.read_setting("runs", (), RUNS_TYPE)
         if run.is_active and cut_short(run).status == "review":
             others = (other for other in runs if other.number != run.number)
             runs = (*others, cut_short(run))
         note = ""
         try:
-            stored = self.project.read_setting("choices", {})
+            stored = self.project.read_setting("choices", {}, dict)
         except InputError as error:
             # They are quickly chosen again; the work must not wait for them.
             log.warning("Choices of the page were not read: %s", error)
@@ -314,27 +317,6 @@ def _same(a: UndoStep, b: UndoStep) -> bool:
 
 def _choices(state: State) -> dict[str, Any]:
     return {name: getattr(state, name) for name in CHOICES}
-
-
-def fits(value: object, hint: Any) -> bool:
-    """Whether a stored value is what a field may hold; an older photoreg's may not be."""
-    origin = typing.get_origin(hint)
-    if origin is typing.Literal:
-        return value in typing.get_args(hint)
-    if origin in (typing.Union, types.UnionType):
-        return any(fits(value, part) for part in typing.get_args(hint))
-    if origin is tuple:
-        parts = typing.get_args(hint)
-        if not isinstance(value, tuple):
-            return False
-        if parts[-1] is Ellipsis:
-            parts = parts[:1] * len(value)
-        return len(parts) == len(value) and all(map(fits, value, parts))
-    if hint is float:
-        return isinstance(value, float | int) and not isinstance(value, bool)
-    if hint is int:
-        return isinstance(value, int) and not isinstance(value, bool)
-    return isinstance(value, hint)
 
 
 def cut_short(run: Run) -> Run:

@@ -149,9 +149,9 @@ class Controller:
             self.worker.send(Bake(state.document.used_cameras, state.texture_config))
 
     def stop_job(self) -> None:
-        """Ends the reading of files at once, the making of a texture after its step."""
+        """Ends the reading of files or a project at once, the making of a texture after its step."""
         with self._lock:
-            if self.intake.cancel():
+            if self.intake.cancel() or self.projects.stop_opening():
                 return
             job = self.session.state.job
             if job is not None and job.can_stop:

@@ -7,11 +7,13 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from app.control import user_data
-from app.control.autosave import DOCUMENT_TYPES, PATIENCE_S, Autosave
+from app.control.autosave import DOCUMENT_TYPES, PATIENCE_S, RUNS_TYPE, Autosave
+from app.control.project_reading import ProjectReader, check_document
 from app.model.run import Run
 from app.model.session import Session, setting
 from app.model.state import Document, Job
 from photoreg.errors import InputError, OutputError, PhotoregError, RefinementError
+from photoreg.project.check import CheckedProject
 from photoreg.project.files import FileProblem
 from photoreg.project.folder import KEPT, check_is_free, holds_project
 from photoreg.project.project import Project
@@ -25,10 +27,22 @@ MAX_NAMED = 3
 
 
 class Projects:
-    """The open project and the ways to another one. Safe to use from any thread."""
+    """The open project and the ways to another one. Safe to use from any thread.
 
-    def __init__(self, session: Session) -> None:
+    Args:
+        session: What is on screen.
+        read: Reads a project that comes from anybody before it is opened; None: a process
+            of its own does.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        read: Callable[[Path, Callable[[str], None]], CheckedProject] | None = None,
+    ) -> None:
         self._session = session
+        self._reader = ProjectReader()
+        self._read = read or self._reader.read
         self.current: Project | None = None
         self.pending: Project | None = None
         """A project that waits until its files are found; see ``problems``."""
@@ -88,11 +102,16 @@ class Projects:
         folder = Path(folder).expanduser().absolute()
         if self.current is not None and folder == self.current.folder:
             raise InputError(f"{folder.name} is open already.")
-        with self._changing(f"Opening {folder.name}"):
+        title = f"Opening {folder.name}"
+        with self._changing(title, can_stop=True) as show:
             self._drop_pending()
-            project = Project(folder, DOCUMENT_TYPES, create=False)
+            checked = self._read(folder, lambda part: show(f"{title}: {part}"))
+            show(title)
+            project = Project(
+                folder, DOCUMENT_TYPES, create=False, loaded=checked.loaded
+            )
             try:
-                self.problems = project.file_problems()
+                self.problems = list(checked.problems)
                 if self.problems:
                     self.pending = project
                     return
@@ -156,6 +175,10 @@ class Projects:
             raise InputError("Type the whole path, from the root of the disk.")
         return path / problem.path.name if path.is_dir() else path
 
+    def stop_opening(self) -> bool:
+        """Ends the reading of a project; returns whether one was being read."""
+        return self._reader.cancel()
+
     def cancel(self) -> None:
         """Leaves the pending project as it is."""
         with self._changing("Closing"):
@@ -215,6 +238,7 @@ class Projects:
 
     def close(self) -> None:
         """Keeps what is left and closes the project."""
+        self._reader.close()
         self._drop_pending()
         self._let_go(None)
 
@@ -224,11 +248,24 @@ class Projects:
         return self.current is not None and bool(self.current.read_only)
 
     @contextlib.contextmanager
-    def _changing(self, title: str) -> Iterator[None]:
-        """One change of project at a time, while nothing else goes on, and shown."""
+    def _changing(
+        self, title: str, can_stop: bool = False
+    ) -> Iterator[Callable[[str], None]]:
+        """One change of project at a time, while nothing else goes on, and shown.
+
+        Yields:
+            What shows another title, of a job that cannot be stopped any more if it is
+            the first one again.
+        """
         if not self._access.acquire(blocking=False):
             raise RefinementError("Another project is just being opened. Wait for it.")
-        job = Job(title)
+        job = Job(title, can_stop=can_stop)
+
+        def show(what: str) -> None:
+            nonlocal job
+            job = Job(what, can_stop=what != title)
+            self._session.change(None, setting(job=job))
+
         try:
             with self._session.lock:
                 state = self._session.state
@@ -238,7 +275,7 @@ class Projects:
                         "for its end, then open another."
                     )
                 self._session.change(None, setting(job=job))
-            yield
+            yield show
         finally:
             if self._session.state.job is job:
                 self._session.change(None, setting(job=None))
@@ -357,8 +394,8 @@ def _listing(paths: Sequence[Path]) -> str:
 
 
 def _is_untouched(project: Project) -> bool:
-    runs = project.read_setting("runs", ())
-    run = project.read_setting("run", Run())
+    runs = project.read_setting("runs", (), RUNS_TYPE)
+    run = project.read_setting("run", Run(), Run)
     return project.is_untouched and not runs and run.status == "idle"
 
 
@@ -368,16 +405,9 @@ def _read(project: Project) -> Document | None:
     Raises:
         InputError: if a photo is not of the size of its camera any more.
     """
-    first, steps, now = project.read_history(n_back=0)
+    first, steps, now = project.read_history(n_back=0, kind=Document)
     if not steps:
         return None
     document = steps[now - first].document
-    for entry in document.photos:
-        camera, photo = entry.camera, entry.photo
-        if (camera.width, camera.height) != (photo.width, photo.height):
-            raise InputError(
-                f"{entry.name} is {photo.width}x{photo.height} px now, but was "
-                f"{camera.width}x{camera.height} px when its camera was placed. "
-                "Use a file of that size."
-            )
+    check_document(document)
     return document

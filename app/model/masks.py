@@ -20,6 +20,8 @@ from photoreg.sources import read_regular
 MASK_FORMATS = (PNG, JPEG, TIFF, WEBP)
 MASK_SUFFIXES = tuple(suffix for known in MASK_FORMATS for suffix in known.suffixes)
 
+PNG_HEAD = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
+
 SUBPIXEL_BITS = 4
 """Strokes are drawn to a sixteenth of a pixel."""
 
@@ -43,6 +45,20 @@ def decode_mask(png: bytes) -> np.ndarray:
     if grey is None:
         raise InputError("The mask could not be read. Load or paint it again.")
     return grey >= 128
+
+
+def check_mask(png: bytes, width: int, height: int) -> None:
+    """Checks by its head that a mask is a PNG of a photo's size, before it is unpacked.
+
+    Raises:
+        InputError: if it is something else.
+    """
+    size = width.to_bytes(4, "big") + height.to_bytes(4, "big")
+    if png[:16] != PNG_HEAD or png[16:24] != size:
+        raise InputError(
+            f"A mask of the project is not a PNG of {width}x{height} px, as its photo "
+            "is; it is damaged."
+        )
 
 
 def painted_mask(

@@ -8,6 +8,7 @@ from typing import Literal
 
 from photoreg.geometry.camera import Camera
 from photoreg.parameters.freedom import Freedom
+from photoreg.project.types import Measured
 from photoreg.registration.config import PresetName, RegistrationConfig
 from photoreg.registration.verdict import Grade
 
@@ -30,13 +31,13 @@ class CurvePoint:
 
     step: int
     """Which step of search and polish it is, from 0."""
-    best: float
+    best: Measured
     """Cost of the best, relative to the first."""
-    median: float
+    median: Measured
     """The same of the population's median; equal to ``best`` without one."""
-    low: float | None = None
+    low: Measured | None = None
     """The same of the population's lower quartile; None without a population."""
-    high: float | None = None
+    high: Measured | None = None
     """The same of the population's upper quartile; None without a population."""
     mark: Mark = ""
     """What begins here: a restart of the search, a level of the polish."""
@@ -74,26 +75,26 @@ class Run:
     """What it may move, of ``photo_names``."""
     phase: str = ""
     step: str = ""
-    fraction: float = 0.0
-    elapsed_s: float = 0.0
+    fraction: Measured = 0.0
+    elapsed_s: Measured = 0.0
     """Seconds at work: without pauses."""
     generation: int = 0
     evaluations: int = 0
-    evaluations_per_s: float | None = None
+    evaluations_per_s: Measured | None = None
     """Speed of the search."""
-    time_left_s: float | None = None
+    time_left_s: Measured | None = None
     """Seconds to the end, as far as measurements tell."""
     curve: tuple[CurvePoint, ...] = ()
-    start_cost: float | None = None
+    start_cost: Measured | None = None
     """Photo-inconsistency of the start; known at the end."""
-    cost: float | None = None
+    cost: Measured | None = None
     """The same of the answer, measured in the same way."""
-    start_error_px: float | None = None
+    start_error_px: Measured | None = None
     """Mean projection error against the truth, where it is known."""
-    error_px: float | None = None
-    expected_errors_px: tuple[float | None, ...] = ()
+    error_px: Measured | None = None
+    expected_errors_px: tuple[Measured | None, ...] = ()
     """How far off each camera is to be expected, in pixels; empty where unknown."""
-    polish_error_px: float | None = None
+    polish_error_px: Measured | None = None
     """Mean of the same while the run goes on, as its polish tells; None before."""
     grade: Grade | None = None
     """How far the answer is to be believed; None where nothing is known of it."""

@@ -3,18 +3,23 @@
 import contextlib
 import dataclasses
 import hashlib
+import re
 import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
 from photoreg.errors import InputError, OutputError
+from photoreg.limits import Limits, variable
 from photoreg.names import path_of, stored_path
 from photoreg.project.folder import KEPT, has_content, partial_name, write_new
 from photoreg.sources import SourceFile, source_file
 
 MAX_NAME_CHARACTERS = 150
 """Length of a file name that is kept; file systems end at 255 bytes."""
+
+
+SHA256 = re.compile("[0-9a-f]{64}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,8 +42,14 @@ class FileProblem:
 class ProjectFiles:
     """The table of files. A path within the project's folder is kept relative to it."""
 
-    def __init__(self, connection: sqlite3.Connection, folder: Path) -> None:
+    def __init__(
+        self,
+        connection: sqlite3.Connection,
+        folder: Path,
+        limits: Limits | None = None,
+    ) -> None:
         self._connection = connection
+        self._limits = limits or Limits.of_environment()
         self._folder = folder.absolute()
 
     def add(self, source: SourceFile) -> str:
@@ -61,18 +72,40 @@ class ProjectFiles:
         """The file of a key, as it was last accepted.
 
         Raises:
-            InputError: if the project does not know it.
+            InputError: if the project does not know it, or knows nonsense of it.
         """
         row = self._connection.execute(
             "SELECT path, sha256, size FROM files WHERE key = ?", (key,)
         ).fetchone()
         if row is None:
             raise InputError(f"The project knows no file {key!s:.12}; it is damaged.")
-        return SourceFile(self._folder / path_of(row[0]), row[1], row[2])
+        path, sha256, size = row
+        if (
+            not isinstance(path, str | bytes)
+            or path_of(path).as_posix().count("\0")
+            or not SHA256.fullmatch(str(sha256))
+            or type(size) is not int
+            or size < 0
+        ):
+            raise InputError(
+                f"The project's database is damaged: what it knows of the file "
+                f"{key!s:.12} is no path, SHA-256 and size."
+            )
+        return SourceFile(self._folder / path_of(path), sha256, size)
 
     def problem(self, key: str) -> FileProblem | None:
-        """What is wrong with a file; reads all of it. None: nothing."""
+        """What is wrong with a file; reads all of it. None: nothing.
+
+        Raises:
+            InputError: if it is larger than files may be.
+        """
         known = self.find(key)
+        if known.size > self._limits.file_bytes:
+            raise InputError(
+                f"{known.path} has {known.size / 1e6:.0f} MB; up to "
+                f"{self._limits.file_mb:g} MB are read. If you trust the project, set "
+                f"{variable('file_mb')} higher."
+            )
         try:
             same = (
                 known.path.stat().st_size == known.size

@@ -15,6 +15,7 @@ from pathlib import Path, PurePosixPath
 from typing import Literal
 
 from photoreg.errors import OutputError
+from photoreg.limits import Limits
 from photoreg.project.files import plain_name
 from photoreg.project.folder import (
     KEPT,
@@ -27,12 +28,14 @@ from photoreg.project.folder import (
     partial_name,
     write_new,
 )
+from photoreg.project.types import check_value
 
 OWN_PATH = re.compile(r"files(/[0-9]+)?(/(?!\.\.?$)[^/\\:\0]+)?")
 """Paths that are made here; a database from elsewhere may name others."""
 PARTIAL = re.compile(r"\.photoreg-[0-9a-f]{32}\.part")
 
 Kind = Literal["folder", "file", "part"]
+_COLUMNS = (str, Kind, str | None, int | None)
 Row = tuple[str, Kind, str | None, int | None]
 
 
@@ -54,6 +57,7 @@ class OwnFiles:
         self._connection = connection
         self._folder = folder
         self._writing = writing
+        self._max_bytes = Limits.of_environment().file_bytes
 
     def keep(self, name: str, content: bytes) -> Path:
         """Writes a file under its own name; photos are told by it.
@@ -123,8 +127,7 @@ class OwnFiles:
         return [
             self._folder / relative
             for relative, kind, sha256, size in self._rows()
-            if kind == "file"
-            and has_content(self._folder / relative, size or 0, sha256 or "")
+            if kind == "file" and self._is_same(relative, size, sha256)
         ]
 
     def note_folder(self) -> None:
@@ -158,7 +161,7 @@ class OwnFiles:
             if kind == "part":
                 is_same = is_file(found) and PARTIAL.fullmatch(path.name)
             else:
-                is_same = has_content(path, size or 0, sha256 or "")
+                is_same = self._is_same(relative, size, sha256)
             if is_same:
                 with contextlib.suppress(OSError):
                     path.unlink()
@@ -217,10 +220,21 @@ class OwnFiles:
         query = "SELECT 1 FROM own WHERE path = ? AND kind = 'folder'"
         return self._connection.execute(query, (path,)).fetchone() is not None
 
+    def _is_same(self, relative: str, size: int | None, sha256: str | None) -> bool:
+        """Whether a file is as it was written."""
+        # None is written that is larger than any may be, so none such is read.
+        size = size or 0
+        path = self._folder / relative
+        return size <= self._max_bytes and bool(has_content(path, size, sha256 or ""))
+
     def _rows(self) -> list[Row]:
-        return self._connection.execute(
+        rows = self._connection.execute(
             "SELECT path, kind, sha256, size FROM own ORDER BY path DESC"
         ).fetchall()
+        for row in rows:
+            for value, hint in zip(row, _COLUMNS, strict=True):
+                check_value(value, hint, "a file that the project notes as its own")
+        return rows
 
     def _note(self, *rows: Row) -> None:
         self._connection.executemany(

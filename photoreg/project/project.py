@@ -17,12 +17,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from photoreg.errors import InputError, OutputError
+from photoreg.errors import InputError, OutputError, PhotoregError
 from photoreg.formats.meshes.read import load_mesh
 from photoreg.formats.photos.read import load_photo
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.imaging.photo import Photo
+from photoreg.limits import Limits
 from photoreg.project.files import FileProblem, ProjectFiles
 from photoreg.project.folder import (
     DATABASE,
@@ -33,16 +34,17 @@ from photoreg.project.folder import (
     check_is_free,
     holds_project,
     identity,
-    is_file,
     is_folder,
     look,
     open_regular,
 )
+from photoreg.project.guard import HEADER, WAL, check_files, harden, reading
 from photoreg.project.lock import FolderLock, is_on_network
 from photoreg.project.own_files import OwnFiles
 from photoreg.project.runs import ProjectRuns
 from photoreg.project.schema import now_utc, prepare, transaction, why
-from photoreg.project.values import FromFile, Values
+from photoreg.project.types import check_value
+from photoreg.project.values import FromFile, Loaded, Values
 from photoreg.sources import read_regular
 
 MAX_CHECKED_BYTES = 64 << 20
@@ -65,23 +67,37 @@ class Project:
         folder: Its folder. It is made, and so is the project, if it is not there.
         types: The dataclasses that its documents consist of, besides the engine's.
         create: Whether a project that is not there is made.
+        look_only: Only look: nothing is written, locked or brought up to date, and
+            the database is checked for damage whatever its size.
+        limits: How large it and its files may be; None: as the environment says.
+        loaded: Meshes and photos that need not be read from their files again.
 
     Raises:
-        InputError: if there is no project, or one that cannot be opened.
+        InputError: if there is no project, or one that cannot be opened, is damaged or
+            not as photoreg makes it.
         OutputError: if it cannot be made there; `FolderInUseError` if the folder holds
             other things.
     """
 
     def __init__(
-        self, folder: Path | str, types: Iterable[type] = (), create: bool = True
+        self,
+        folder: Path | str,
+        types: Iterable[type] = (),
+        create: bool = True,
+        *,
+        look_only: bool = False,
+        limits: Limits | None = None,
+        loaded: Loaded | None = None,
     ) -> None:
         folder = Path(folder).absolute()
         # Where a link leads may change while the project is open.
         self.folder = Path(os.path.realpath(folder)) if folder.is_symlink() else folder
         self.path = self.folder / DATABASE
         self._types = (*types, Camera, Mesh, Photo)
+        self._looks_only = look_only
+        self._limits = limits or Limits.of_environment()
         self._is_new = not holds_project(self.folder)
-        if self._is_new and not create:
+        if self._is_new and (look_only or not create):
             if not self.folder.exists():
                 raise InputError(f"There is no folder {self.folder}. Check its name.")
             raise InputError(
@@ -94,8 +110,10 @@ class Project:
         self._lock = FolderLock(self.folder)
         self.read_only = ""
         """Why nothing can be written, in one sentence; empty where all can."""
+        if look_only:
+            self.read_only = f"{self.folder} is only looked at."
         try:
-            taken = self._lock.take()
+            taken = not look_only and self._lock.take()
         except OSError as error:
             if self._is_new:
                 raise self._not_made(error) from error
@@ -113,7 +131,7 @@ class Project:
             )
         self._access = threading.RLock()
         try:
-            self._open()
+            self._open(loaded)
         except BaseException:
             self._lock.release()
             raise
@@ -136,47 +154,44 @@ class Project:
             "Choose another folder."
         )
 
-    def _open(self) -> None:
-        mode = "ro" if self.read_only else "rwc"
-        log = self.path.with_name(f"{DATABASE}-wal")
-        if self.read_only and not log.exists() and not os.access(self.folder, os.W_OK):
-            # SQLite wants to make its log even for reading.
-            mode = "ro&immutable=1"
+    def _open(self, loaded: Loaded | None) -> None:
         connection = None
         try:
-            self._check_files()
+            check_files(self.folder, self._limits)
             connection = sqlite3.connect(
-                f"{self.path.as_uri()}?mode={mode}",
+                f"{self.path.as_uri()}?mode={self._mode()}",
                 uri=True,
                 check_same_thread=False,
                 isolation_level=None,
                 timeout=10.0,
             )
-            # A project may come from anybody; its schema runs no functions.
-            connection.execute("PRAGMA trusted_schema = OFF")
+            harden(connection, self._limits)
             connection.execute("PRAGMA foreign_keys = ON")
+            # Each commit reaches the disk: killed at any moment, or cut from power, the
+            # last state that was reported as kept is there.
+            connection.execute("PRAGMA synchronous = FULL")
+            is_small = self.path.stat().st_size <= MAX_CHECKED_BYTES
+            self.old_copy = prepare(
+                connection,
+                self.path,
+                not self.read_only,
+                self._may_begin,
+                check_all=is_small or self._looks_only,
+                look_only=self._looks_only,
+            )
             if not self.read_only:
                 # The WAL's index is shared memory, which does not work between machines.
                 mode = "DELETE" if is_on_network(self.folder) else "WAL"
                 connection.execute(f"PRAGMA journal_mode = {mode}")
-                # Each commit reaches the disk: killed at any moment, or cut from
-                # power, the last state that was reported as kept is there.
-                connection.execute("PRAGMA synchronous = FULL")
-            self._check_damage(connection)
-            self.old_copy = prepare(
-                connection, self.path, not self.read_only, self._may_begin
-            )
             version = connection.execute("PRAGMA data_version").fetchone()
-        except (InputError, OutputError):
+        except BaseException as error:
             if connection is not None:
                 connection.close()
-            raise
-        except sqlite3.Error as error:
-            if connection is not None:
-                connection.close()
+            if isinstance(error, PhotoregError) or not isinstance(error, Exception):
+                raise
             raise InputError(
-                f"{self.path} cannot be opened as a project ({error}). If it is "
-                "damaged, a copy from a backup is needed; nothing was changed."
+                f"{self.path} cannot be opened as a project ({' '.join(str(error).split()):.200}). If it "
+                "is damaged, a copy from a backup is needed; nothing was changed."
             ) from error
         self._connection = connection
         self._data_version = version
@@ -185,7 +200,7 @@ class Project:
         self._places: dict[Path, Identity] = {}
         self._is_networked = is_on_network(self.folder)
         self._note_places()
-        self.files = ProjectFiles(connection, self.folder)
+        self.files = ProjectFiles(connection, self.folder, self._limits)
         self._own = OwnFiles(connection, self.folder, self.writing)
         self._values = Values(
             connection,
@@ -196,33 +211,40 @@ class Project:
             },
             self.files.find,
             self.files.add,
+            self._limits,
+            loaded,
         )
-        self.runs = ProjectRuns(connection, self._values, self._access, self.writing)
+        self.runs = ProjectRuns(connection, self._values, self._reading, self.writing)
+
+    @contextlib.contextmanager
+    def _reading(self) -> Iterator[None]:
+        with self._access, reading(self.path):
+            yield
 
     @property
     def _may_begin(self) -> bool:
         names = {DATABASE, LOCK, *DATABASE_COMPANIONS}
         return {entry.name for entry in os.scandir(self.folder)} <= names
 
-    def _check_files(self) -> None:
-        """SQLite would follow a link, or wait for ever at a pipe."""
-        for name in (DATABASE, *DATABASE_COMPANIONS):
-            found = look(self.folder / name)
-            if found is not None and not is_file(found):
-                raise InputError(
-                    f"{self.folder / name} is not a regular file (a link, a folder, a "
-                    "pipe?), so this is not opened as a project; nothing was changed."
-                )
-        found = look(self.path)
-        if found is not None and 0 < found.st_size < 512:
-            # SQLite would take it for an empty one and write over it.
-            raise sqlite3.DatabaseError("it is too short")
-
-    def _check_damage(self, connection: sqlite3.Connection) -> None:
-        if self.path.stat().st_size <= MAX_CHECKED_BYTES:
-            found = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
-            if found != "ok":
-                raise sqlite3.DatabaseError(found)
+    def _mode(self) -> str:
+        """How SQLite opens the database."""
+        if not self.read_only:
+            return "rwc"
+        log = look(self.path.with_name(f"{DATABASE}-wal"))
+        with contextlib.suppress(OSError):
+            with os.fdopen(open_regular(self.path), "rb") as file:
+                head = file.read(100)
+            if head[: len(HEADER)] != HEADER:
+                raise sqlite3.DatabaseError("it is no database")
+            journal = look(self.path.with_name(f"{DATABASE}-journal"))
+            if self._looks_only and journal is not None and journal.st_size > 0:
+                return "rw"  # A write was cut short: what was half written goes.
+            if self._looks_only and log is None and head[18] == WAL:
+                return "ro&immutable=1"  # Nobody has it open, and no log is made.
+        if log is None and not os.access(self.folder, os.W_OK):
+            # SQLite wants to make its log even for reading.
+            return "ro&immutable=1"
+        return "ro"
 
     def close(self) -> None:
         """Ends the use of the project; others may write it from now on."""
@@ -366,7 +388,9 @@ class Project:
                 )
             self._put("position", now)
 
-    def read_history(self, n_back: int = 200) -> tuple[int, list[StoredStep], int]:
+    def read_history(
+        self, n_back: int = 200, kind: Any = Any
+    ) -> tuple[int, list[StoredStep], int]:
         """The history around the document in force.
 
         Steps that cannot be read any more, because a file of theirs is gone, and what
@@ -374,6 +398,7 @@ class Project:
 
         Args:
             n_back: How many steps back at most.
+            kind: The type of the documents.
 
         Returns:
             Position of the first step returned, the steps, and the position of the
@@ -382,8 +407,8 @@ class Project:
         Raises:
             InputError: if the document in force cannot be read.
         """
-        with self._access:
-            now = self._get("position", 0)
+        with self._reading(), self._values.one_reading():
+            now = self._position()
             rows = self._connection.execute(
                 "SELECT position, name, document FROM steps WHERE position >= ? "
                 "ORDER BY position",
@@ -394,23 +419,30 @@ class Project:
                 if rows:
                     raise InputError(f"{self.path} is damaged: it lacks step {now}.")
                 return 0, [], 0
-            steps = [StoredStep(rows[here][1], self._values.value_of(rows[here][2]))]
+            steps = [self._read_step(rows[here], kind)]
             first = here
-            while first > 0 and (step := self._step(rows[first - 1])) is not None:
+            while first > 0 and (step := self._step(rows[first - 1], kind)) is not None:
                 steps.insert(0, step)
                 first -= 1
             for row in rows[here + 1 :]:
-                step = self._step(row)
+                step = self._step(row, kind)
                 if step is None:
                     break
                 steps.append(step)
             return rows[first][0], steps, now
 
-    def _step(self, row: tuple[Any, ...]) -> StoredStep | None:
+    def _step(self, row: tuple[Any, ...], kind: Any) -> StoredStep | None:
         try:
-            return StoredStep(row[1], self._values.value_of(row[2]))
+            return self._read_step(row, kind)
         except InputError:
             return None
+
+    def _read_step(self, row: tuple[Any, ...], kind: Any) -> StoredStep:
+        check_value(row[1], str | None, "the name of a step")
+        return StoredStep(row[1], self._values.value_of(row[2], kind, "a document"))
+
+    def _position(self) -> int:
+        return self._get("position", 0, int)
 
     def file_problems(self) -> list[FileProblem]:
         """The files of the document in force that are missing or changed.
@@ -418,10 +450,9 @@ class Project:
         Reads all of them. They must be located, or the change accepted, by
         `files.use` before the history can be read.
         """
-        with self._access:
+        with self._reading():
             row = self._connection.execute(
-                "SELECT document FROM steps WHERE position = ?",
-                (self._get("position", 0),),
+                "SELECT document FROM steps WHERE position = ?", (self._position(),)
             ).fetchone()
             keys = self._values.needs(row[0])[1] if row is not None else ()
             found = [self.files.problem(key) for key in sorted(keys)]
@@ -430,7 +461,7 @@ class Project:
     @property
     def is_untouched(self) -> bool:
         """Whether nothing was done since it was made: one step, no file, no run."""
-        with self._access:
+        with self._reading():
             counts = self._connection.execute(
                 "SELECT (SELECT count(*) FROM steps), (SELECT count(*) FROM runs)"
             ).fetchone()
@@ -449,10 +480,19 @@ class Project:
             for name, value in settings.items():
                 self._put(name, value)
 
-    def read_setting(self, name: str, default: Any = None) -> Any:
-        """A value by name."""
-        with self._access:
-            return self._get(name, default)
+    def read_setting(self, name: str, default: Any = None, kind: Any = Any) -> Any:
+        """A value by name.
+
+        Args:
+            name: Its name.
+            default: What it is where it was never written.
+            kind: The type that it should be of.
+
+        Raises:
+            InputError: if it is damaged or of another type.
+        """
+        with self._reading():
+            return self._get(name, default, kind)
 
     def _put(self, name: str, value: object) -> None:
         self._connection.execute(
@@ -460,11 +500,13 @@ class Project:
             (name, self._values.text_of(value)),
         )
 
-    def _get(self, name: str, default: Any) -> Any:
+    def _get(self, name: str, default: Any, kind: Any) -> Any:
         row = self._connection.execute(
             "SELECT value FROM settings WHERE name = ?", (name,)
         ).fetchone()
-        return default if row is None else self._values.value_of(row[0])
+        if row is None:
+            return default
+        return self._values.value_of(row[0], kind, f"the value {name!r}")
 
     # Files.
 
@@ -487,7 +529,7 @@ class Project:
             InputError: if one is missing or has changed; none is copied then.
             OutputError: if they cannot be written.
         """
-        with self._access:
+        with self._reading():
             away = [key for key in self.files if not self.files.is_kept(key)]
             for key in away:
                 problem = self.files.problem(key)
@@ -588,7 +630,7 @@ class Project:
             # The cache may name what has gone.
             self._values.forget()
         try:
-            with self._access:
+            with self._reading():
                 self.check_place()
                 self.foreign = tuple(self._own.sweep(self.files.paths()))
         except OSError as error:

@@ -5,16 +5,19 @@ import json
 import sqlite3
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
 from photoreg.project.schema import now_utc
+from photoreg.project.types import Measured, check_fields
 from photoreg.project.values import Values
 
 Cameras = tuple[Camera, ...]
+
+T = TypeVar("T")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,8 +38,8 @@ class StoredRun:
     """Cameras at the start, in the order of ``photo_names``."""
     cameras: Cameras | None
     """The answer; of a run that has not ended the best at its last checkpoint."""
-    start_cost: float | None
-    cost: float | None
+    start_cost: Measured | None
+    cost: Measured | None
     outcome: str
     """How it ended, in words."""
     figures: Mapping[str, Any]
@@ -50,8 +53,8 @@ class StoredGeneration:
     """One point of a run's course."""
 
     number: int
-    best: float
-    median: float
+    best: Measured
+    median: Measured
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,7 +74,7 @@ class ProjectRuns:
     Args:
         connection: The open database.
         values: Keeps the cameras.
-        access: Held while the database is read.
+        access: What the database is read within: holds it, and says when it is damaged.
         writing: The transaction to write in.
     """
 
@@ -79,7 +82,7 @@ class ProjectRuns:
         self,
         connection: sqlite3.Connection,
         values: Values,
-        access: AbstractContextManager[Any],
+        access: Callable[[], AbstractContextManager[Any]],
         writing: Callable[[], AbstractContextManager[None]],
     ) -> None:
         self._connection = connection
@@ -213,28 +216,36 @@ class ProjectRuns:
 
     def generations(self, run: int) -> list[StoredGeneration]:
         """A run's course."""
-        with self._access:
+        with self._access():
             rows = self._connection.execute(
                 "SELECT number, best, median FROM generations WHERE run = ? "
                 "ORDER BY number",
                 (run,),
             ).fetchall()
-        return [StoredGeneration(*row) for row in rows]
+            return [
+                _checked(StoredGeneration, number=number, best=best, median=median)
+                for number, best, median in rows
+            ]
 
     def checkpoint(self, run: int) -> StoredCheckpoint | None:
         """The newest checkpoint of a run that has not ended; None if it has none."""
-        with self._access:
+        with self._access():
             row = self._connection.execute(
                 "SELECT generation, cameras, content FROM checkpoints WHERE run = ?",
                 (run,),
             ).fetchone()
             if row is None:
                 return None
-            return StoredCheckpoint(row[0], self._cameras(row[1]), row[2])
+            return _checked(
+                StoredCheckpoint,
+                generation=row[0],
+                cameras=self._cameras(row[1]),
+                content=row[2],
+            )
 
     def _select(self, clause: str, *arguments: object) -> list[StoredRun]:
         # The clause is one of those above, never anybody's text.
-        with self._access:
+        with self._access():
             return [self._run(row) for row in self._rows(clause, arguments)]
 
     def _rows(self, clause: str, arguments: tuple[object, ...]) -> list[Any]:
@@ -249,7 +260,8 @@ class ProjectRuns:
     def _run(self, row: tuple[Any, ...]) -> StoredRun:
         start = self._cameras(row[6])
         assert start is not None
-        return StoredRun(
+        return _checked(
+            StoredRun,
             id=row[0],
             started_utc=row[1],
             ended_utc=row[2],
@@ -269,7 +281,12 @@ class ProjectRuns:
         return None if cameras is None else self._values.text_of(tuple(cameras))
 
     def _cameras(self, text: str | None) -> Cameras | None:
-        return None if text is None else self._values.value_of(text)
+        return None if text is None else self._values.value_of(text, Cameras, "cameras")
+
+
+def _checked(kind: type[T], **content: Any) -> T:
+    check_fields(kind, content)
+    return kind(**content)
 
 
 def _plain(value: object) -> Any:

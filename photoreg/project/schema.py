@@ -8,6 +8,7 @@ from pathlib import Path
 
 from photoreg.errors import InputError, OutputError
 from photoreg.project.folder import look
+from photoreg.project.guard import check_pages, check_rows, check_schema
 
 APPLICATION_ID = 0x70687267
 """Marks the file as photoreg's ("phrg"), so that no foreign database is touched."""
@@ -91,8 +92,11 @@ def prepare(
     may_write: bool,
     may_begin: bool,
     migrations: Sequence[str] = MIGRATIONS,
+    *,
+    check_all: bool = True,
+    look_only: bool = False,
 ) -> Path | None:
-    """Makes the tables, or brings those of an older photoreg up to date.
+    """Checks the database; makes the tables, or brings older ones up to date.
 
     Args:
         connection: The open database.
@@ -101,14 +105,17 @@ def prepare(
         may_begin: Whether nothing else is in the folder, so that a database that holds
             nothing is one whose making was cut short.
         migrations: What leads from each version to the next.
+        check_all: Whether all of it is checked for damage.
+        look_only: Whether an older version is left as it is.
 
     Returns:
         Where the copy of an older version was kept; None if there was none.
 
     Raises:
-        InputError: if it is of a newer photoreg, not of photoreg at all, or older
-            and held by another program.
+        InputError: if it is of a newer photoreg, not of photoreg at all, not as photoreg
+            makes it, or older and held by another program.
         OutputError: if the copy cannot be kept.
+        sqlite3.Error: if it is damaged.
     """
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     mark = connection.execute("PRAGMA application_id").fetchone()[0]
@@ -124,7 +131,13 @@ def prepare(
             f"{version}; this one knows up to {newest}). Update photoreg to open it; "
             "nothing was changed."
         )
-    if version == newest:
+    if n_tables > 0 or version > 0:
+        # Before anything else: a check of pages runs what the schema says.
+        check_schema(connection, path, migrations[:version])
+        if check_all:
+            check_pages(connection)
+        check_rows(connection, path)
+    if version == newest or (look_only and version > 0):
         return None
     if not may_write:
         raise InputError(

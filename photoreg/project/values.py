@@ -6,22 +6,30 @@ what two steps of the history share is kept once. What was read from a file is k
 the file's name and fingerprint and read again.
 
 Fields are kept by name: a field that is new takes its default, one that is gone is
-passed over, so documents outlive changes of the program.
+passed over, so documents outlive changes of the program. A database may come from
+anybody: each part must have the content that its name says, each value the type of its
+field, and sizes are bounded before anything is unpacked.
 """
 
+import contextlib
 import dataclasses
 import hashlib
 import json
+import math
+import re
 import sqlite3
 import weakref
 import zlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from photoreg.errors import InputError
+from photoreg.limits import Limits, variable
+from photoreg.project.guard import DAMAGE, described
+from photoreg.project.types import check_fields, check_value
 from photoreg.sources import SourceFile
 
 PART_CHARACTERS = 240
@@ -29,6 +37,18 @@ PART_CHARACTERS = 240
 
 INLINE_NUMBERS = 16
 """Arrays up to this size are kept as text, exactly."""
+
+MAX_TEXT_BYTES = 32 << 20
+"""Size of one text; as objects it takes twenty times as much."""
+
+MAX_VALUES = 5_000_000
+"""Values of one reading: few parts that name each other can stand for very many."""
+
+MAX_DIMENSIONS = 4
+DTYPE = re.compile(r"[<>|=]?[biuf][1248]")
+
+Loaded = Mapping[tuple[type, Path, str], Any]
+"""Values that were read from files already, by type, path and SHA-256."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,6 +70,8 @@ class Values:
         from_file: Those that are read from files.
         find_file: The file of a key, as it is now.
         add_file: Remembers a file; returns its key.
+        limits: What a reading may unpack to.
+        loaded: What need not be read from its file again while somebody holds it.
     """
 
     def __init__(
@@ -59,12 +81,17 @@ class Values:
         from_file: Mapping[type, FromFile],
         find_file: Callable[[str], SourceFile],
         add_file: Callable[[SourceFile], str],
+        limits: Limits | None = None,
+        loaded: Loaded | None = None,
     ) -> None:
         self._connection = connection
         self._types = {kind.__name__: kind for kind in types}
         self._from_file = dict(from_file)
         self._find_file = find_file
         self._add_file = add_file
+        self._limits = limits or Limits.of_environment()
+        self._loaded = weakref.WeakValueDictionary(loaded or {})
+        self._depth = self._n_bytes = self._n_values = 0
         # By identity: values are frozen, and hashing a photo's pixels takes long.
         self._encoded: dict[int, tuple[weakref.ref[Any], dict[str, Any]]] = {}
         self._decoded: weakref.WeakValueDictionary[str, Any] = (
@@ -79,38 +106,76 @@ class Values:
         """
         return _dump(self._node(value))
 
-    def value_of(self, text: str) -> Any:
+    def value_of(self, text: object, hint: Any = Any, name: str = "a value") -> Any:
         """The value of a text.
 
+        Args:
+            text: What the database has.
+            hint: The type that it should be of.
+            name: What it is called.
+
         Raises:
-            InputError: if it is damaged, of a newer photoreg, or a file it was read
-                from is missing, changed or not valid any more.
+            InputError: if it is damaged, not of that type, too large, of a newer
+                photoreg, or a file it was read from is missing, changed or not valid
+                any more.
         """
+        with self.one_reading():
+            try:
+                value = self._value(self._parsed(text))
+            except MemoryError as error:
+                raise InputError(
+                    f"The project's database cannot be read: {name} takes more memory "
+                    "than there is."
+                ) from error
+            except DAMAGE as error:
+                raise InputError(
+                    f"The project's database is damaged: {name} in it cannot be read "
+                    f"({described(error)})."
+                ) from error
+        check_value(value, hint, name)
+        return value
+
+    @contextlib.contextmanager
+    def one_reading(self) -> Iterator[None]:
+        """All that is read within it together stays within the limits."""
+        if self._depth == 0:
+            self._n_bytes = self._n_values = 0
+        self._depth += 1
         try:
-            return self._value(json.loads(text))
-        except InputError:
-            raise
-        except (TypeError, ValueError, KeyError, RecursionError, zlib.error) as error:
-            raise InputError(
-                f"The project's database is damaged: a value in it cannot be read "
-                f"({type(error).__name__}: {error})."
-            ) from error
+            yield
+        finally:
+            self._depth -= 1
 
     def forget(self) -> None:
         """Drops what is remembered of values, after the transaction they were in failed."""
         self._encoded.clear()
         self._decoded.clear()
 
-    def needs(self, text: str) -> tuple[set[str], set[str]]:
-        """The hashes of all parts, and the keys of all files, that a text needs."""
+    def needs(self, text: object) -> tuple[set[str], set[str]]:
+        """The hashes of all parts, and the keys of all files, that a text needs.
+
+        Raises:
+            InputError: if it is damaged.
+        """
         parts: set[str] = set()
         files: set[str] = set()
         self.add_needs(text, parts, files)
         return parts, files
 
-    def add_needs(self, text: str, parts: set[str], files: set[str]) -> None:
-        """Adds what a text needs; what is in ``parts`` already is not followed again."""
-        self._collect(json.loads(text), parts, files)
+    def add_needs(self, text: object, parts: set[str], files: set[str]) -> None:
+        """Adds what a text needs; what is in ``parts`` already is not followed again.
+
+        Raises:
+            InputError: if it is damaged.
+        """
+        try:
+            with self.one_reading():
+                self._collect(self._parsed(text), parts, files)
+        except DAMAGE as error:
+            raise InputError(
+                f"The project's database is damaged: a value in it cannot be read "
+                f"({described(error)})."
+            ) from error
 
     # Writing.
 
@@ -187,7 +252,33 @@ class Values:
 
     # Reading.
 
+    def _parsed(self, text: object) -> Any:
+        if not isinstance(text, str | bytes):
+            raise TypeError(f"{type(text).__name__} instead of text")
+        if len(text) > MAX_TEXT_BYTES:
+            raise InputError(
+                f"The project's database holds a text of {len(text) / 1e6:.0f} MB, which "
+                "no work makes, so it is not read."
+            )
+        return json.loads(text)
+
+    def _count(self, n_bytes: int) -> None:
+        """Keeps account before anything of that size is made."""
+        self._n_bytes += n_bytes
+        if self._n_bytes > self._limits.project_bytes:
+            raise InputError(
+                f"The project's database unpacks to more than "
+                f"{self._limits.project_mb:g} MB, so it is not read. If you trust it, set "
+                f"{variable('project_mb')} higher."
+            )
+
     def _value(self, node: Any) -> Any:
+        self._n_values += 1
+        if self._n_values > MAX_VALUES:
+            raise InputError(
+                f"The project's database stands for more than {MAX_VALUES} values, which "
+                "no work makes, so it is not read."
+            )
         if isinstance(node, list):
             return tuple(self._value(item) for item in node)
         if not isinstance(node, dict):
@@ -195,7 +286,7 @@ class Values:
         if "at" in node:
             known = self._decoded.get(node["at"])
             if known is None:
-                known = self._value(json.loads(self._part(node["at"])))
+                known = self._value(self._parsed(self._part(node["at"])))
                 if dataclasses.is_dataclass(known):
                     self._decoded[node["at"]] = known
             return known
@@ -226,23 +317,37 @@ class Values:
             for name, child in node["of"].items()
             if name in names
         }
+        check_fields(kind, content)
         source, from_file = content.get("source"), self._from_file.get(kind)
         if source is None or from_file is None:
             return kind(**content)
-        loaded = from_file.load(source.path)
+        loaded = self._loaded.get((kind, source.path, source.sha256))
+        if loaded is None:
+            loaded = from_file.load(source.path)
         if loaded.source.sha256 != source.sha256:
             raise InputError(f"{source.path} has changed since it was last used.")
         content["source"] = loaded.source
+        known = {field: getattr(loaded, field) for field in from_file.fields}
+        # Kept arrays must be of the size of those in the file.
+        check_fields(kind, known | content)
         return dataclasses.replace(loaded, **content)
 
     def _array(self, node: dict[str, Any]) -> np.ndarray:
+        if not isinstance(node["type"], str) or not DTYPE.fullmatch(node["type"]):
+            raise ValueError(f"array of {node['type']!r:.20}")
         dtype, shape = np.dtype(node["type"]), tuple(node["shape"])
-        if dtype.kind not in "biuf":
-            raise ValueError(f"array of {dtype}")
-        content = node["array"]
+        if len(shape) > MAX_DIMENSIONS or not all(
+            type(side) is int and side >= 0 for side in shape
+        ):
+            raise ValueError(f"array of shape {shape!r:.40}")
+        content, n_bytes = node["array"], math.prod(shape) * dtype.itemsize
+        self._count(n_bytes)
         if isinstance(content, list):
             return np.array(content, dtype=dtype).reshape(shape)
-        raw = zlib.decompress(self._part(content))
+        unpacker = zlib.decompressobj()
+        raw = unpacker.decompress(self._part(content), n_bytes + 1)
+        if len(raw) != n_bytes or not unpacker.eof:
+            raise ValueError(f"an array of shape {shape} has not {n_bytes} bytes")
         return np.frombuffer(raw, dtype=dtype).reshape(shape).copy()
 
     def _part(self, key: str) -> bytes:
@@ -251,7 +356,11 @@ class Values:
         ).fetchone()
         if row is None:
             raise ValueError(f"part {key!s:.12} is missing")
-        return row[0]
+        content = row[0]
+        self._count(len(content))
+        if hashlib.sha256(content).hexdigest() != key:
+            raise ValueError(f"part {key!s:.12} has another content than it had")
+        return content
 
     def _collect(self, node: Any, parts: set[str], files: set[str]) -> None:
         if isinstance(node, list):
@@ -260,7 +369,7 @@ class Values:
         elif isinstance(node, dict):
             if "at" in node and node["at"] not in parts:
                 parts.add(node["at"])
-                self._collect(json.loads(self._part(node["at"])), parts, files)
+                self._collect(self._parsed(self._part(node["at"])), parts, files)
             if "is" in node:
                 self._collect(list(node["of"].values()), parts, files)
             if "file" in node:

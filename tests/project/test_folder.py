@@ -172,12 +172,12 @@ def test_an_upload_that_somebody_changed_since_is_theirs(tmp_path: Path) -> None
 WRITER = """
 import os, sys
 from pathlib import Path
-from photoreg import project_folder, project_own
+from photoreg.project import folder
 from photoreg.project.project import Project
 project = Project(sys.argv[1])
 if sys.argv[2] == "named":
     os.fsync = lambda _: None
-    project_folder._put = lambda partial, path: (os.link(partial, path), os._exit(9))
+    folder._put = lambda partial, path: (os.link(partial, path), os._exit(9))
 else:
     os.fsync = lambda _: os._exit(9)
 project.keep_file("a.jpg", b"content" * 1000)
