@@ -2,8 +2,7 @@
 
 import sys
 
-from photoreg.__main__ import app_command
 from photoreg.cli import commands
 
 if __name__ == "__main__":
-    sys.exit(commands.run(["app", *sys.argv[1:]], {"app": app_command}))
+    sys.exit(commands.run(["app", *sys.argv[1:]]))

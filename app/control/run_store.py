@@ -22,7 +22,7 @@ class RunStore:
 
     def copy(self, runs: ProjectRuns | None = None) -> "RunStore":
         """The same, to write on with; ``runs``: those of a copy of the project."""
-        other = copy.copy(self)
+        other: RunStore = copy.copy(self)
         other._runs = runs or self._runs
         return other
 

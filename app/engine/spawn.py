@@ -2,6 +2,7 @@
 
 import contextlib
 import multiprocessing
+import os
 import signal
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
@@ -25,6 +26,9 @@ def spawned(
     process = context.Process(
         target=_enter, args=(target, theirs, *arguments), daemon=True
     )
+    # Else it looks into the working folder for modules before it hears our path. Set for
+    # good: several threads may start processes at once.
+    os.environ["PYTHONSAFEPATH"] = "1"
     with _deaf_to_ctrl_c():
         process.start()
     # Only while the child alone holds its end does its death end the pipe.

@@ -14,7 +14,7 @@ from app.model.run import CurvePoint
 from app.model.session import setting
 from app.model.state import State, Surface
 from app.web.bridge import Bridge
-from app.web.controls import guarded, put, put_value
+from app.web.controls import guarded, put, put_jpeg, put_value
 from app.web.styles import PHOTO_STYLES
 from app.web.widgets import Choice
 
@@ -147,9 +147,7 @@ class OverlayPanel:
         put(self._image, "visible", picture is not None and not compared)
         if picture is not None and picture is not self._shown:
             self._shown = picture
-            # The worker has made a JPEG already; the public setter takes pixels and
-            # would encode them again, on the thread that serves the page.
-            self._image._data = picture
+            put_jpeg(self._image, picture)
 
     def _show_comparison(self, state: State) -> None:
         compared = self._controller.refinement.comparison

@@ -28,7 +28,7 @@ from app.scene.canvas import (
     without_skew,
 )
 from app.scene.nodes import SceneNodes
-from app.web.controls import put
+from app.web.controls import put, put_jpeg
 from photoreg.geometry.camera import Camera
 from photoreg.imaging.photo import Photo
 
@@ -138,8 +138,7 @@ class PhotoView:
             if picture is None:
                 plane.image.image = _plane_pixels(entry)
             else:
-                # A JPEG already: the public setter takes pixels and encodes them anew.
-                plane.image._data = picture
+                put_jpeg(plane.image, picture)
         with self.client.atomic():
             plane.root.wxyz = vtf.SO3.from_matrix(rotation).wxyz
             plane.root.position = position

@@ -28,6 +28,14 @@ def put_value(handle: Any, value: Any) -> None:
         handle.value = value
 
 
+def put_jpeg(handle: viser.GuiImageHandle | viser.ImageHandle, jpeg: bytes) -> None:
+    """Shows a JPEG file as it is: the public setter takes pixels and encodes them.
+
+    It would do so on the thread that serves the page.
+    """
+    handle._data = jpeg
+
+
 def guarded(
     callback: Callable[[Any], None],
 ) -> Callable[[Any], Coroutine[Any, Any, None]]:

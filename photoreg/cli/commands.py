@@ -14,7 +14,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
@@ -24,6 +24,7 @@ import rich.table
 import tyro
 
 from photoreg.checks import noting_inputs
+from photoreg.cli.app import app_command
 from photoreg.cli.convert import convert_command
 from photoreg.errors import InputError, OutputError, PhotoregError
 from photoreg.formats.cameras.cameras_json import CameraFile, save_cameras
@@ -58,6 +59,7 @@ _log = rich.console.Console(stderr=True, highlight=False, soft_wrap=True)
 def commands(argv: Sequence[str] = ()) -> dict[str, Callable[..., int]]:
     """The commands by name; the defaults of `refine` are those of argv's --preset."""
     return {
+        "app": app_command,
         "refine": _refine_command(RegistrationConfig.preset(_preset(argv))),
         "evaluate": evaluate_command,
         "texture": texture_command,
@@ -355,12 +357,8 @@ def reproduce_command(
     return 1
 
 
-def run(
-    argv: Sequence[str], others: Mapping[str, Callable[..., int]] | None = None
-) -> int:
-    """Runs the command that ``argv`` names, of ours or of ``others``.
-
-    Returns the exit status.
+def run(argv: Sequence[str]) -> int:
+    """Runs the command that ``argv`` names; returns the exit status.
 
     tyro itself ends with status 2 and its message where the words are off.
     """
@@ -368,7 +366,7 @@ def run(
         with noting_inputs():
             try:
                 return tyro.extras.subcommand_cli_from_dict(
-                    {**(others or {}), **commands(argv)},
+                    commands(argv),
                     prog="photoreg",
                     description="Lays photographs onto a scanned 3-D surface, precisely.",
                     args=list(argv),

@@ -10,7 +10,7 @@ from pathlib import Path
 SERVER = """
 import sys
 from pathlib import Path
-from app.main import run_app
+from app.page.main import run_app
 if __name__ == "__main__":  # The worker process imports it again.
     folder, *files = map(Path, sys.argv[1:])
     run_app(files, project=folder, port=0, open_browser=False, shadows=False)

@@ -16,7 +16,6 @@ import msgspec
 import pytest
 
 from app.control.autosave import DOCUMENT_TYPES
-from photoreg.__main__ import app_command
 from photoreg.cli import commands
 from photoreg.project.project import Project
 from tests.bench.wire import listening
@@ -134,5 +133,5 @@ def test_doors_that_would_not_shut_are_refused_in_a_sentence(
     arguments: list[str], sentence: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     words = ["app", "--no-browser", *arguments]
-    assert commands.run(words, {"app": app_command}) == 2
+    assert commands.run(words) == 2
     assert sentence in " ".join(capfd.readouterr().err.split())

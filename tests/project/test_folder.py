@@ -17,7 +17,6 @@ from app.control.projects import Projects, remove_untouched
 from app.model.scene_files import demo_folder
 from app.model.session import Session, with_document
 from app.page.main import open_project
-from photoreg.__main__ import app_command
 from photoreg.cli import commands
 from photoreg.errors import InputError, OutputError
 from photoreg.formats.photos.read import load_photo
@@ -73,7 +72,7 @@ def test_the_command_line_refuses_a_folder_in_use_and_names_a_command_for_a_free
     names = ["shell.ply", "shell-left.jpg", "shell-right.jpg"]
     files = [f"files/{name}" for name in names]
     words = ["app", "--no-browser", *files, "--project", "."]
-    assert commands.run(words, {"app": app_command}) == 2
+    assert commands.run(words) == 2
     told = " ".join(capfd.readouterr().err.split())
     assert f"Use: photoreg app {' '.join(files)} --project photoreg-project" in told
     assert hashes(mine) == before

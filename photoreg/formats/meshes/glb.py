@@ -369,7 +369,8 @@ def _contents(name: str, scene: Any, limits: Limits, notes: list[str]) -> MeshCo
         vertices.append(placed)
         faces.append(corners + n)
         n += len(placed)
-        own = part._cache.cache.get("vertex_normals")
+        # The public property computes those that the file has not.
+        own = part._cache.cache.get("vertex_normals")  # noqa: SLF001
         # Normals turn with the inverse transpose.
         normals.append(None if own is None else own @ np.linalg.pinv(linear))
         uv: Any = getattr(part.visual, "uv", None)

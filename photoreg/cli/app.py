@@ -1,0 +1,89 @@
+"""`photoreg app`: starts the browser app, which an entry point names.
+
+No module of photoreg imports the app. Whoever installs one names it in the group
+`photoreg.apps`, with what serves it.
+"""
+
+import importlib.metadata
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from photoreg.errors import InputError
+
+ENTRY_POINTS = "photoreg.apps"
+BROWSER_APP = "browser"
+
+
+def app_command(
+    files: Annotated[
+        tuple[Path, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="MESH PHOTO PHOTO | FOLDER"),
+    ] = (),
+    /,
+    *,
+    cameras: Path | None = None,
+    project: Path | None = None,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    token: str | None = None,
+    address: str | None = None,
+    browser: bool = True,
+) -> int:
+    """Open the app in the browser; without files, on the demo.
+
+    Args:
+        files: A mesh and its photos, or a folder that `photoreg synthesize` made.
+        cameras: Cameras of the photos, a photoreg camera file.
+        project: Folder that keeps the work: opened as it was left where it is a project,
+            made where not. Without it, a new one in your data folder.
+        host: Address to listen on; the default lets only this machine in. Any other asks
+            for a token.
+        port: Port to listen on; the next free one is taken when it is busy.
+        token: What lets a browser in, at least 16 characters; better given by the
+            environment variable PHOTOREG_TOKEN, which other users cannot see. Without
+            it, one is made where it is needed.
+        address: Where people reach it through a proxy, https://photos.example.org; see
+            SECURITY.md.
+        browser: Open the page in the default browser, where there is one.
+    """
+    return find_app()(
+        files,
+        cameras,
+        project=project,
+        host=host,
+        port=port,
+        token=token,
+        address=address,
+        open_browser=browser,
+    )
+
+
+def find_app() -> Callable[..., int]:
+    """What serves the app until it is interrupted, and returns the exit status.
+
+    Raises:
+        InputError: if no app is installed, or another module has its name.
+    """
+    found = importlib.metadata.entry_points(group=ENTRY_POINTS, name=BROWSER_APP)
+    if not found:
+        raise InputError(
+            "The browser app is not installed here. Install photoreg anew: "
+            "pip install --force-reinstall --no-deps photoreg (in a checkout: pip "
+            "install --editable .)."
+        )
+    entry = next(iter(found))
+    package = entry.module.partition(".")[0]
+    try:
+        return entry.load()
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] != package:
+            raise
+        raise InputError(
+            f"The browser app could not be started: {error}. Another module named "
+            f"{package} stands before it on Python's path; look for it in the folders "
+            "that PYTHONPATH names."
+        ) from error
