@@ -11,7 +11,7 @@
     const message = JSON.stringify({ act, ...values, count: ++count, at: Date.now() });
     window.__viserMutable.sendMessage({
       type: "GuiUpdateMessage",
-      uuid: photoreg.bus,
+      uuid: photoreg.bridge,
       updates: { value: message },
     });
   };
@@ -32,7 +32,7 @@
 
   const input = () => document.getElementById(`file_upload_${photoreg.upload}`);
   photoreg.define("boot", ({ dataset }) => {
-    photoreg.bus = dataset.bus;
+    photoreg.bridge = dataset.bridge;
     photoreg.upload = dataset.upload;
     photoreg.maxBytes = Number(dataset.bytes);
     // The input must exist to take files, and need not be seen.

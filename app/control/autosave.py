@@ -15,8 +15,9 @@ from typing import Any
 
 from app.control.run_store import RunStore
 from app.model.run import Run
-from app.model.session import Session, UndoStep, setting
+from app.model.session import Session, setting
 from app.model.state import Document, State
+from app.model.undo_history import UndoStep
 from photoreg.errors import InputError, OutputError, PhotoregError
 from photoreg.project.project import Project, StoredStep
 from photoreg.project.types import fits

@@ -11,7 +11,8 @@ from multiprocessing.connection import Connection
 
 from app.engine.agreement_meter import AgreementMeter
 from app.engine.bake_job import BakeJob
-from app.engine.overlay_job import Drawing, Painter
+from app.engine.overlay_job import Drawing
+from app.engine.picture_stream import PictureStream
 from app.engine.refine_job import Preparation, RefineJob
 from app.engine.warm_up import warm_up_steps
 from app.model.durations import measure_speed
@@ -78,7 +79,7 @@ class WorkerProcess:
         self._addresses: tuple[str, ...] = ()
         self._drawing: Drawing | None = None
         self._agreement_meter: AgreementMeter | None = None
-        self._painter = Painter(self._send)
+        self._picture_stream = PictureStream(self._send)
         self._baker = BakeJob()
         self._unchecked: tuple[Camera, ...] | None = None
         self._unreached: tuple[Camera, ...] | None = None
@@ -143,7 +144,7 @@ class WorkerProcess:
                 # so that the next number need not wait for it.
                 self._measure(newer.cameras)
                 self._unchecked = self._unreached = self._cameras = newer.cameras
-                self._painter.offer(
+                self._picture_stream.offer(
                     self._its_drawing(), newer.cameras, newer.view, newer.truth
                 )
             case Refine():
@@ -159,7 +160,7 @@ class WorkerProcess:
             case Compare():
                 self._compare(job)
             case Watch():
-                self._painter.is_watched = job.on
+                self._picture_stream.is_watched = job.on
             case OverlayView() | Stop() | Pause() | Resume():
                 pass  # Meant for work that has just ended.
 
@@ -202,7 +203,7 @@ class WorkerProcess:
             self._scene_mesh(),
             self._photos,
             self._its_drawing(),
-            self._painter,
+            self._picture_stream,
             self._measure,
             self._send,
             self._preparation,
@@ -217,7 +218,7 @@ class WorkerProcess:
             wait = False
 
     def _compare(self, job: Compare) -> None:
-        self._painter.finish()
+        self._picture_stream.finish()
         drawing = self._its_drawing()
         self._send(drawing.comparison(job))
         if job.surface != "clay":

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from app.engine.overlay_job import Drawing, Painter
+from app.engine.overlay_job import Drawing
+from app.engine.picture_stream import PictureStream
 from app.model.cost_curve import CostCurve
 from app.model.messages import (
     Event,
@@ -109,14 +110,14 @@ class RefineJob:
         mesh: Mesh,
         photos: tuple[Photo, ...],
         drawing: Drawing,
-        painter: Painter,
+        picture_stream: PictureStream,
         measure: Callable[[tuple[Camera, ...]], None],
         send: Callable[[Event], None],
         preparation: Preparation | None = None,
     ) -> None:
         self._job, self._mesh, self._photos = job, mesh, photos
         self._preparation = preparation
-        self._drawing, self._painter = drawing, painter
+        self._drawing, self._picture_stream = drawing, picture_stream
         self._measure, self._send = measure, send
         self._view = job.view
         self._best = job.cameras
@@ -168,7 +169,7 @@ class RefineJob:
                 if finished is None:
                     self._keep(last, np.inf)
         self._measure(self._best)
-        self._painter.finish()
+        self._picture_stream.finish()
         self._send(
             self._drawing.picture(self._best, self._view, job.truth, job.cameras)
         )
@@ -211,7 +212,7 @@ class RefineJob:
 
     def _paint(self) -> None:
         job = self._job
-        self._painter.offer(
+        self._picture_stream.offer(
             self._drawing, self._best, self._view, job.truth, job.cameras
         )
 
@@ -227,7 +228,7 @@ class RefineJob:
                         if is_paused:
                             self._paint()
                     case Watch():
-                        self._painter.is_watched = message.on
+                        self._picture_stream.is_watched = message.on
                         if is_paused:
                             self._paint()
                     case Pause():

@@ -6,31 +6,18 @@ click changes the state and nothing else.
 
 import contextlib
 import dataclasses
-import itertools
 import threading
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
 
 from app.model.run import Run
 from app.model.state import Document, PhotoEntry, State
+from app.model.undo_history import UndoHistory, UndoStep
 from photoreg.errors import InputError, OutputError, RefinementError
 from photoreg.geometry.camera import Camera
 from photoreg.imaging.photo import Photo
 
-UNDO_STEPS = 200
-
 Change = Callable[[State], State]
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class UndoStep:
-    """The document after a step of the history."""
-
-    name: str | None
-    """Name of the step that led to it; None where it is not known."""
-    document: Document
-
-
 Listener = Callable[[State, State], None]
 
 
@@ -46,9 +33,7 @@ class Session:
         self.lock = threading.RLock()
         """Held during a change; hold it to make several changes as one."""
         self._listeners: list[Listener] = []
-        self._past: list[tuple[str, Document]] = []
-        self._future: list[tuple[str, Document]] = []
-        self._gesture: Hashable = None
+        self._undo_history = UndoHistory()
         self.read_only = ""
         """Why the document cannot be changed, in one sentence; empty where it can."""
 
@@ -92,32 +77,22 @@ class Session:
                     raise RefinementError(
                         "The refinement is running. Stop it first, or wait for its end."
                     )
-                if gesture is None or gesture != self._gesture:
-                    self._past.append((name, old.document))
-                    del self._past[:-UNDO_STEPS]
-                self._future.clear()
-                self._gesture = gesture
+                self._undo_history.record(name, old.document, gesture)
             self._replace(new)
             return True
 
     def undo(self) -> str | None:
         """Takes the last step back; returns its name, None if there is none."""
-        return self._travel(self._past, self._future)
+        return self._travel(self._undo_history.undo)
 
     def redo(self) -> str | None:
         """Does the step taken back again; returns its name, None if there is none."""
-        return self._travel(self._future, self._past)
+        return self._travel(self._undo_history.redo)
 
     def history(self) -> tuple[list[UndoStep], int]:
         """All steps that undo and redo reach, and which of them is in force."""
         with self.lock:
-            steps, name = [], None
-            for following, document in self._past:
-                steps.append(UndoStep(name, document))
-                name = following
-            steps.append(UndoStep(name, self._state.document))
-            steps += [UndoStep(*ahead) for ahead in reversed(self._future)]
-            return steps, len(self._past)
+            return self._undo_history.steps(self._state.document)
 
     def begin(self, document: Document) -> None:
         """Begins anew with a document; nothing can be undone."""
@@ -140,14 +115,7 @@ class Session:
         """
         with self.lock:
             self.read_only = ""
-            self._past = [
-                (after.name or "Change", before.document)
-                for before, after in itertools.pairwise(steps[: now + 1])
-            ]
-            self._future = [
-                (step.name or "Change", step.document) for step in steps[now + 1 :]
-            ][::-1]
-            self._gesture = None
+            self._undo_history = UndoHistory.of_steps(steps, now)
             self._replace(
                 dataclasses.replace(
                     State(worker=self._state.worker, dark=self._state.dark),
@@ -159,11 +127,10 @@ class Session:
                 )
             )
 
-    def _travel(
-        self, source: list[tuple[str, Document]], target: list[tuple[str, Document]]
-    ) -> str | None:
+    def _travel(self, take: Callable[[Document], UndoStep | None]) -> str | None:
         with self.lock:
-            if not source:
+            history = self._undo_history
+            if not (history.undo_name if take == history.undo else history.redo_name):
                 return None
             if self.read_only:
                 raise OutputError(self.read_only)
@@ -173,11 +140,10 @@ class Session:
                     if self._state.run.status == "review"
                     else "The refinement is running. Stop it first."
                 )
-            name, document = source.pop()
-            target.append((name, self._state.document))
-            self._gesture = None
-            self._replace(dataclasses.replace(self._state, document=document))
-            return name
+            step = take(self._state.document)
+            assert step is not None
+            self._replace(dataclasses.replace(self._state, document=step.document))
+            return step.name
 
     def _replace(self, new: State) -> None:
         old = self._state
@@ -194,8 +160,8 @@ class Session:
         self._state = dataclasses.replace(
             new,
             selected=min(new.selected, max(0, len(new.document.photos) - 1)),
-            undo_name=self._past[-1][0] if self._past else None,
-            redo_name=self._future[-1][0] if self._future else None,
+            undo_name=self._undo_history.undo_name,
+            redo_name=self._undo_history.redo_name,
         )
         # All hear of it, and what one of them raises reaches whoever made the change.
         with contextlib.ExitStack() as in_order:

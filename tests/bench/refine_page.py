@@ -14,7 +14,8 @@ import numpy as np
 from playwright.sync_api import sync_playwright
 
 from app.control.controller import Controller
-from app.engine.overlay_job import Drawing, Painter
+from app.engine.overlay_job import Drawing
+from app.engine.picture_stream import PictureStream
 from app.engine.refine_job import RefineJob
 from app.model.messages import Live, OverlayView, Refine
 from app.model.run import PRESET_NAMES
@@ -82,7 +83,7 @@ class _Load:
             )  # fmt: skip
 
 
-class _Switched(Painter):
+class _Switched(PictureStream):
     """Draws only while it is on."""
 
     is_on = False
@@ -295,7 +296,7 @@ def _slowdown() -> Iterator[Metric]:
         document.true_cameras([entry.name for entry in document.used]),
     )
     drawing.surface(job.cameras, "photos")  # What takes long the first time.
-    painter = _Switched(lambda _: None)
+    stream = _Switched(lambda _: None)
     told: list[Live] = []
     spent: list[float] = []
 
@@ -311,7 +312,7 @@ def _slowdown() -> Iterator[Metric]:
             seconds = last.elapsed_s - first.elapsed_s
             spent.append(seconds / (last.evaluations - first.evaluations))
             told[:] = [event]
-            painter.is_on = len(spent) % 4 in (1, 2)
+            stream.is_on = len(spent) % 4 in (1, 2)
 
     def messages(_: bool) -> Iterator[Any]:
         if len(spent) == 2 * N_PAIRS:
@@ -319,10 +320,10 @@ def _slowdown() -> Iterator[Metric]:
         yield from ()
 
     with contextlib.suppress(_EnoughError):
-        RefineJob(job, mesh, photos, drawing, painter, lambda _: None, send).run(
+        RefineJob(job, mesh, photos, drawing, stream, lambda _: None, send).run(
             messages
         )
-    painter.finish()
+    stream.finish()
     off, on = np.array(spent)[0::4], np.array(spent)[1::4]
     ratios = np.concatenate([on / off, spent[2::4] / np.array(spent)[3::4]]) - 1.0
     error = 1.25 * ratios.std(ddof=1) / np.sqrt(len(ratios))

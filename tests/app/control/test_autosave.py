@@ -30,7 +30,7 @@ from photoreg.registration.config import RegistrationConfig
 WRITER = """
 import sys
 from pathlib import Path
-from app.main import open_project
+from app.page.main import open_project
 from app.opening import demo_folder
 from app.projects import Projects, remove_untouched
 from app.session import Session, with_document

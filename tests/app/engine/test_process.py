@@ -18,7 +18,8 @@ from PIL import Image
 from app.control.controller import Controller
 from app.engine.agreement_meter import AgreementMeter
 from app.engine.client import Worker, newest
-from app.engine.overlay_job import Drawing, Painter
+from app.engine.overlay_job import Drawing
+from app.engine.picture_stream import PictureStream
 from app.engine.refine_job import Preparation, RefineJob
 from app.model import session as rules
 from app.model.masks import encode_mask
@@ -41,6 +42,7 @@ from app.model.messages import (
 from app.model.run import CurvePoint
 from app.model.session import Session, with_entry
 from app.model.state import Document, ModelChoice, PhotoEntry, State, same_camera
+from app.model.undo_history import UndoStep
 from photoreg.errors import InputError, RefinementError
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.events import Finished
@@ -113,7 +115,7 @@ def test_a_run_begun_in_spare_time_has_the_same_answer_and_counts_no_idle_time(s
     assert not preparation.is_for(dataclasses.replace(job, config=THOROUGH))
     events: list[Event] = []
     RefineJob(
-        job, mesh, photos, Drawing(mesh, photos), Painter(events.append),
+        job, mesh, photos, Drawing(mesh, photos), PictureStream(events.append),
         lambda _: None, events.append, preparation,
     ).run(lambda _: iter(()))  # fmt: skip
     refined = events[-1]
@@ -139,7 +141,7 @@ def test_of_a_run_that_nobody_watches_nothing_is_drawn(shared, scene):
     listener.wait_for(Refined)
 
 
-def test_a_painter_without_memory_to_say_so_keeps_nobody_waiting(scene):
+def test_a_picture_stream_without_memory_to_say_so_keeps_nobody_waiting(scene):
     sent: list[Event] = []
     tried, has_memory, finished = (threading.Event() for _ in range(3))
 
@@ -149,18 +151,18 @@ def test_a_painter_without_memory_to_say_so_keeps_nobody_waiting(scene):
             raise MemoryError
         sent.append(event)
 
-    painter, drawing = Painter(send), Drawing(scene.mesh, scene.photos)
+    stream, drawing = PictureStream(send), Drawing(scene.mesh, scene.photos)
 
     def finish() -> None:
-        painter.finish()
+        stream.finish()
         finished.set()
 
-    painter.offer(drawing, scene.cameras, VIEW, None)
+    stream.offer(drawing, scene.cameras, VIEW, None)
     assert tried.wait(60.0)
     threading.Thread(target=finish, daemon=True).start()
     assert finished.wait(20.0)
     has_memory.set()
-    painter.offer(drawing, scene.cameras, VIEW, None)
+    stream.offer(drawing, scene.cameras, VIEW, None)
     wait_until(lambda: sent, "the next picture is drawn")
     assert isinstance(sent[0], Picture)
 
@@ -447,7 +449,7 @@ def test_what_may_move_reaches_the_worker_with_the_photos_that_it_is_about(
     for document in (three, two, three):
         last = document.photos[-1].name
         controller.session.restore(
-            [rules.UndoStep(None, document)], 0, {"held": ((last, "focal"),)}
+            [UndoStep(None, document)], 0, {"held": ((last, "focal"),)}
         )
     photos = len(two.photos)
     n_told = 0
