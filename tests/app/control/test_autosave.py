@@ -31,9 +31,9 @@ WRITER = """
 import sys
 from pathlib import Path
 from app.page.main import open_project
-from app.opening import demo_folder
-from app.projects import Projects, remove_untouched
-from app.session import Session, with_document
+from app.model.scene_files import demo_folder
+from app.control.projects import Projects, remove_untouched
+from app.model.session import Session, with_document
 session = Session()
 projects = Projects(session)
 open_project(projects, (), None, Path(sys.argv[1]))
