@@ -15,6 +15,7 @@ from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.rotations import rotation_matrices, rotation_vectors
 from photoreg.parameters.freedom import Freedom
+from photoreg.parameters.increments import PriorScales
 from photoreg.words import listed
 
 CameraModel = Literal["pinhole", "full"]
@@ -31,14 +32,14 @@ class GeneBox:
     take the place of ``translation``.
     """
 
-    focal: float = 0.02
+    focal: float = PriorScales.focal
     """Focal length, as a share of itself, above 0. In ``object`` coordinates the
     distance goes with it, so the object keeps its size in the photo."""
-    principal_point: float = 0.005
+    principal_point: float = PriorScales.principal_point
     """Principal point, as a share of the photo's width and height, above 0."""
-    rotation_deg: float = 1.0
+    rotation_deg: float = PriorScales.rotation_deg
     """Rotation about each axis of the camera, in degrees, in (0, 90]."""
-    translation: float = 0.03
+    translation: float = PriorScales.translation
     """Camera centre along each world axis, as a share of its distance to the
     object's centroid, above 0. Only in ``camera`` coordinates."""
     scale: float = 0.05

@@ -48,23 +48,18 @@ N_GEOMETRY = 36
 class PriorScales:
     """One standard deviation of the prior around the pre-registration.
 
-    The defaults are the paper's gene intervals (section 4): one sigma each.
+    The defaults are the paper's gene intervals (section 4), one sigma each; those of
+    ``genes.GeneBox`` are these.
     """
 
-    rotation_rad: float = float(np.deg2rad(1.0))
-    """Rotation about each camera axis, in radians."""
-    translation_share: float = 0.03
+    rotation_deg: float = 1.0
+    """Rotation about each camera axis, in degrees."""
+    translation: float = 0.03
     """Shift along each camera axis, as a share of the camera's distance."""
-    focal_share: float = 0.02
+    focal: float = 0.02
     """Focal length, as a share of itself."""
-    principal_share: float = 0.005
+    principal_point: float = 0.005
     """Principal point, as a share of the photo's width and height."""
-
-    def scaled(self, factor: float) -> "PriorScales":
-        """The same intervals times ``factor``."""
-        return PriorScales(
-            *(factor * getattr(self, f.name) for f in dataclasses.fields(self))
-        )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -93,12 +88,12 @@ class Increments:
         """
         s = self.scales
         units = np.array(
-            [s.rotation_rad] * 3
-            + [s.translation_share * self.distance] * 3
-            + [s.focal_share]
+            [float(np.deg2rad(s.rotation_deg))] * 3
+            + [s.translation * self.distance] * 3
+            + [s.focal]
             + [
-                s.principal_share * self.base.width,
-                s.principal_share * self.base.height,
+                s.principal_point * self.base.width,
+                s.principal_point * self.base.height,
             ]
         )
         return np.where(self.is_free, units, 0.0)

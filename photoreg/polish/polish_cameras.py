@@ -172,7 +172,7 @@ def polish_cameras(
     prior_cameras: Sequence[Camera],
     config: PolishConfig | None = None,
     seed: int = 0,
-    box_scale: float = 1.0,
+    prior_scales: PriorScales | None = None,
     start_disagreement: Disagreement | None = None,
     freedom: Freedom | None = None,
 ) -> Iterator[PolishStep]:
@@ -182,10 +182,10 @@ def polish_cameras(
         mesh: The surface.
         photos: At least one photo.
         cameras: Where to start, one a photo.
-        prior_cameras: The pre-registration; one sigma is ``PriorScales`` around it.
+        prior_cameras: The pre-registration.
         config: Settings; None: the defaults.
         seed: Of the sampling.
-        box_scale: Factor on the prior's intervals.
+        prior_scales: One sigma of the prior around it; None: the paper's intervals.
         start_disagreement: ``agreement.disagreement`` of ``cameras``, if known.
         freedom: What may move; None: everything. What is held, and shared focal
             lengths, ``cameras`` have as ``prior_cameras`` do.
@@ -204,7 +204,7 @@ def polish_cameras(
             "The polish needs one camera and one prior camera a photo, but got "
             f"{len(photos)} photos, {len(cameras)} cameras, {len(prior_cameras)} priors."
         )
-    scales = PriorScales().scaled(box_scale)
+    scales = prior_scales or PriorScales()
     sizes = [_working_size(photo, config.max_side_px) for photo in photos]
     freedom = freedom or Freedom()
     increments = tuple(

@@ -121,9 +121,9 @@ def plain_units(increments: Increments) -> Float[np.ndarray, "9"]:
     """One unit of each increment: degrees, shares of the distance, a share, pixels."""
     scales = increments.scales
     return np.array(
-        [np.rad2deg(scales.rotation_rad)] * 3
-        + [scales.translation_share] * 3
-        + [scales.focal_share]
+        [scales.rotation_deg] * 3
+        + [scales.translation] * 3
+        + [scales.focal]
         + list(increments.units[7:9])
     )
 

@@ -149,6 +149,8 @@ def problem_digest(
     Of large arrays it takes every so many numbers: what it guards against is a mistake.
     """
     digest = hashlib.sha256(repr((config, freedom)).encode())
+    for name, value in _changed_new_settings(config):
+        digest.update(f"{name}={value!r}".encode())
     for array in (mesh.vertices, mesh.faces):
         _add(digest, array)
     for photo in photos:
@@ -159,6 +161,21 @@ def problem_digest(
         for array in (camera.K, camera.R_cam_world, camera.t_cam_world):
             _add(digest, array)
     return digest.hexdigest()
+
+
+def _changed_new_settings(config: object) -> list[tuple[str, object]]:
+    """Names and values of settings that ``repr`` leaves out and that were changed.
+
+    A setting that is new must not turn away searches that were kept without it: as
+    long as it has its default, it is as if it were not there.
+    """
+    if not dataclasses.is_dataclass(config):
+        return []
+    return [
+        (field.name, getattr(config, field.name))
+        for field in dataclasses.fields(config)
+        if not field.repr and getattr(config, field.name) != field.default
+    ]
 
 
 def _add(digest: Any, array: np.ndarray) -> None:

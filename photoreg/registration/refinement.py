@@ -18,7 +18,7 @@ from photoreg.polish.misfit import Disagreement, against_chance, disagreement
 from photoreg.polish.polish_cameras import PolishStep, polish_cameras
 from photoreg.polish.uncertainty import Uncertainty, estimate_uncertainty
 from photoreg.registration.checkpoint import Checkpoint, problem_digest
-from photoreg.registration.config import OBJECT_BOX, RegistrationConfig
+from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.events import Event, Finished, Phase, Population, Progress
 from photoreg.registration.genetic_search import GeneticSearch
 from photoreg.registration.readiness import check_readiness
@@ -344,7 +344,7 @@ class _Run:
             self.start,
             self.config.polish,
             self.config.seed,
-            self.config.box.rotation_deg / OBJECT_BOX.rotation_deg,
+            self.config.prior_scales,
             fit,
             self.freedom,
         ):

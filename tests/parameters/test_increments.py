@@ -73,7 +73,8 @@ def test_geometry_of_a_reduced_photo_is_the_resized_camera(increments):
 
 @pytest.mark.parametrize("scale", [1.0, 2.7, 1e3])
 def test_every_vector_within_the_limits_is_a_camera(increments, scale):
-    wide = dataclasses.replace(increments, scales=PriorScales().scaled(scale))
+    scales = PriorScales(*(scale * one for one in dataclasses.astuple(PriorScales())))
+    wide = dataclasses.replace(increments, scales=scales)
     signs = np.array(list(itertools.product([-1.0, 1.0], repeat=9)))
     for x in signs * wide.limits:
         camera = wide.camera(x)

@@ -181,9 +181,9 @@ def test_terms_that_would_go_astray_alone_are_weighted_all_the_same(seed):
     """Far off, a term's own step would take the focal length to 1e26 px."""
     scene = small_scene()
     start = rough_start(scene.true_mesh, scene.cameras, (34.0, 150.0), seed)
+    scales = PriorScales(*(2.7 * one for one in dataclasses.astuple(PriorScales())))
     increments = tuple(
-        Increments(camera, scene.mesh.centroid, PriorScales().scaled(2.7))
-        for camera in start
+        Increments(camera, scene.mesh.centroid, scales) for camera in start
     )
     x, sizes = np.zeros(18), [(320, 240)] * 2
     terms = _terms(scene.mesh, scene.photos, increments, x, sizes, 0, PolishConfig(), 0)

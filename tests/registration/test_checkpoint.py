@@ -229,5 +229,8 @@ def test_the_digest_tells_every_part_apart():
         problem_digest(*base[:2], scene.cameras, *base[3:]),
         problem_digest(*base[:3], SEARCH_ONLY, base[4]),
         problem_digest(*base[:4], Freedom((Held(focal=True), Held()))),
+        problem_digest(
+            *base[:3], dataclasses.replace(CONFIG, principal_point_prior=2.0), base[4]
+        ),
     }
-    assert len(digests) == 6
+    assert len(digests) == 7

@@ -9,7 +9,8 @@ import pytest
 from photoreg.errors import InputError, RefinementError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.projection_error import projection_error
-from photoreg.parameters.genes import GeneMap
+from photoreg.parameters.genes import GeneBox, GeneMap
+from photoreg.parameters.increments import PriorScales
 from photoreg.polish.misfit import disagreement
 from photoreg.polish.polish_cameras import PolishConfig
 from photoreg.registration import refinement, verdict
@@ -114,6 +115,54 @@ def test_a_doubtful_polish_is_tried_from_the_other_side_too(monkeypatch):
         for start in starts
     ]
     assert last.cost <= min(costs), (last.cost, costs)
+
+
+def test_each_interval_of_the_prior_follows_its_own_of_the_box(monkeypatch):
+    scales = []
+    original = refinement.polish_cameras
+
+    def watched(*args):
+        for step in original(*args):
+            scales.append(step.increments[0].scales)
+            yield step
+
+    monkeypatch.setattr(refinement, "polish_cameras", watched)
+    quick = PolishConfig(blurs_px=(2.0,), points=(500,), rounds=(1,), iterations=1)
+    usual = dataclasses.replace(SEARCH, polish_after=True, polish=quick)
+    box = usual.box
+    for changes, expected in (
+        ({}, PriorScales()),
+        ({"rotation_deg": 2.0 * box.rotation_deg}, PriorScales(rotation_deg=2.0)),
+        (
+            {"principal_point": 3.0 * box.principal_point},
+            PriorScales(principal_point=0.015),
+        ),
+        ({"focal": 0.5 * box.focal}, PriorScales(focal=0.01)),
+        ({"scale": 2.0 * box.scale}, PriorScales(translation=0.06)),
+        ({"shift": 0.5 * box.shift}, PriorScales()),
+    ):
+        scales.clear()
+        end(dataclasses.replace(usual, box=dataclasses.replace(box, **changes)))
+        assert dataclasses.astuple(scales[0]) == pytest.approx(
+            dataclasses.astuple(expected)
+        ), changes
+
+
+def test_the_papers_intervals_come_from_one_source():
+    paper = RegistrationConfig.preset("paper")
+    assert paper.prior_scales == PriorScales()
+    for field in dataclasses.fields(PriorScales):
+        assert getattr(GeneBox, field.name) is getattr(PriorScales, field.name)
+
+
+def test_a_wide_box_widens_the_principal_points_prior_only_where_it_says_so():
+    thorough = RegistrationConfig.preset("thorough")
+    wide = [2.7 * one for one in dataclasses.astuple(PriorScales())]
+    assert dataclasses.astuple(thorough.prior_scales) == pytest.approx(wide)
+    plain = dataclasses.replace(thorough, principal_point_prior=1.0)
+    assert plain.prior_scales == dataclasses.replace(
+        thorough.prior_scales, principal_point=PriorScales().principal_point
+    )
 
 
 def test_the_last_event_is_finished_and_the_only_one():
@@ -339,7 +388,14 @@ def test_a_camera_of_another_size_is_refused_at_once():
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("seed", -1), ("samples", 3), ("pull", -1)]
+    ("name", "value"),
+    [
+        ("seed", -1),
+        ("samples", 3),
+        ("pull", -1),
+        ("principal_point_prior", 0),
+        ("principal_point_prior", np.nan),
+    ],
 )
 def test_an_impossible_setting_is_refused_by_name(name, value):
     with pytest.raises(InputError, match=f"^{name} is {value}; give"):

@@ -18,6 +18,7 @@ from app.model.run import Run
 from app.model.session import Session, setting
 from app.model.state import ModelChoice, PointPair
 from app.page.main import open_project
+from photoreg.registration.checkpoint import Checkpoint, problem_digest
 from photoreg.registration.config import RegistrationConfig
 
 KEPT = Path(__file__).with_name("project_of_0_1_0")
@@ -89,3 +90,12 @@ def test_the_run_that_ended_is_listed_and_the_one_cut_short_can_go_on(session):
     assert state.run.curve
     assert state.kept_search.run == 2
     assert state.can_go_on
+
+
+def test_the_kept_search_is_still_the_one_that_the_run_would_begin(session):
+    state = session.state
+    document, run = state.document, state.run
+    photos = [entry.masked_photo for entry in document.photos]
+    problem = problem_digest(document.mesh, photos, run.start, run.config, run.freedom)
+    kept = Checkpoint.from_bytes(state.kept_search.content)
+    assert kept.problem == problem
