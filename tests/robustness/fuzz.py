@@ -32,6 +32,7 @@ from hypothesis import strategies as st
 from photoreg.errors import PhotoregError
 from photoreg.geometry.mesh import Mesh
 from photoreg.imaging.photo import Photo
+from photoreg.project.check import CheckedProject
 from tests.formats.photo_files import write_dng
 from tests.robustness import (
     lying_archives,
@@ -39,6 +40,7 @@ from tests.robustness import (
     lying_input,
     lying_meshes,
     lying_photos,
+    lying_projects,
 )
 from tests.robustness.memory import peak_memory_gb
 
@@ -88,6 +90,10 @@ WORDS = [
         b"%YAML",
         b"PK\1\2",
         b"../",
+        b'{"at":"',
+        b'"is":"Photo"',
+        b"CREATE VIEW",
+        b"Infinity",
     ),
 ]
 
@@ -196,19 +202,24 @@ def targets() -> dict[str, list[Content]]:
     ]
     for kind in lying_cameras.SAVED:
         found[kind] = [camera_files(kind)]
+    found["project"] = [lying_projects.project_files()]
     return found
 
 
 def outcome(files: Content, folder: Path) -> str:
     """Writes one input to a folder and reads it; raises what the reader lets through."""
     for path, content in files.items():
-        (folder / path).parent.mkdir(exist_ok=True)
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
         (folder / path).write_bytes(content)
     started = time.process_time()
     # Ends the process: compiled readers that hang come back to no Python.
     signal.alarm(HANG_S)
     try:
-        value = lying_input.read_path(folder / Path(next(iter(files))).parts[0])
+        first = folder / Path(next(iter(files))).parts[0]
+        if first.name == lying_projects.FOLDER:
+            value = lying_projects.read(first)
+        else:
+            value = lying_input.read_path(first)
     except PhotoregError:
         return "refused"
     finally:
@@ -231,6 +242,8 @@ def check(value: Any) -> None:
     elif isinstance(value, Photo):
         assert value.pixels.dtype == np.uint8
         assert value.exif_focal_px is None or value.exif_focal_px > 0.0
+    elif isinstance(value, CheckedProject):
+        assert value.steps or not value.loaded
     elif isinstance(value, list):
         assert all(path.is_file() for path in value)
     else:
@@ -263,7 +276,8 @@ def fuzz(name: str, seconds: float) -> int:
     @given(st.data())
     def one_round(data: st.DataObject) -> None:
         files = dict(data.draw(st.sampled_from(inputs)))
-        victim = data.draw(st.sampled_from(sorted(files)))
+        victims = [lying_projects.DATABASE_PATH] if name == "project" else sorted(files)
+        victim = data.draw(st.sampled_from(victims))
         files[victim] = data.draw(damaged(files[victim]))
         counts[outcome(files, KEPT / name)] += 1
 
