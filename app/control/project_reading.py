@@ -161,7 +161,7 @@ def _serve(connection: Connection, folder: Path) -> None:
         # What it consists of is decoded again there; photos and meshes are not.
         event = dataclasses.replace(read_all(folder, connection.send), steps=())
     except PhotoregError as error:
-        event = Failed("read", str(error))
+        event = Failed("read", " ".join(str(error).split()))
     except MemoryError:
         event = Failed("read", f"{folder.name} takes more memory than there is.")
     except Exception as error:  # noqa: BLE001 - the border of the process: report.

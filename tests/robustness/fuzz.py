@@ -122,6 +122,25 @@ def damaged(draw: st.DrawFn, content: bytes) -> bytes:
     return bytes(data)
 
 
+@st.composite
+def damaged_row(draw: st.DrawFn, content: bytes) -> bytes:
+    """A sound database in which one value is another, all else being in order."""
+    tables = lying_projects.tables(content)
+    table = draw(st.sampled_from([name for name, rows in tables.items() if rows]))
+    row = draw(st.integers(0, len(tables[table]) - 1))
+    column = draw(st.integers(0, len(tables[table][row]) - 1))
+    old = tables[table][row][column]
+    value: Any
+    if isinstance(old, str | bytes) and draw(st.booleans()):
+        value = draw(damaged(old if isinstance(old, bytes) else old.encode()))
+        if isinstance(old, str):
+            value = value.decode(errors="replace")
+    else:
+        numbers = st.integers(-(2**63), 2**63 - 1) | st.floats()
+        value = draw(st.none() | numbers | st.text(max_size=9) | st.binary(max_size=9))
+    return lying_projects.with_value(content, table, row, column, value)
+
+
 def camera_files(kind: str) -> Content:
     """What photoreg writes in a format, by path from the folder."""
     with tempfile.TemporaryDirectory() as name:
@@ -276,9 +295,12 @@ def fuzz(name: str, seconds: float) -> int:
     @given(st.data())
     def one_round(data: st.DataObject) -> None:
         files = dict(data.draw(st.sampled_from(inputs)))
-        victims = [lying_projects.DATABASE_PATH] if name == "project" else sorted(files)
-        victim = data.draw(st.sampled_from(victims))
-        files[victim] = data.draw(damaged(files[victim]))
+        if name == "project":
+            victim = lying_projects.DATABASE_PATH
+            damage = data.draw(st.sampled_from((damaged, damaged_row)))
+        else:
+            victim, damage = data.draw(st.sampled_from(sorted(files))), damaged
+        files[victim] = data.draw(damage(files[victim]))
         counts[outcome(files, KEPT / name)] += 1
 
     failure = None

@@ -1,10 +1,14 @@
 """A sound project as files, to be damaged, and how the app reads and writes it."""
 
+import contextlib
 import dataclasses
+import hashlib
 import shutil
+import sqlite3
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,6 +24,7 @@ from photoreg.formats.models.ply import save_mesh
 from photoreg.formats.photos.read import load_photo
 from photoreg.project.check import CheckedProject
 from photoreg.project.folder import DATABASE
+from photoreg.project.guard import MAX_ROWS
 from photoreg.project.project import Project, StoredStep
 from photoreg.project.runs import StoredGeneration
 
@@ -96,3 +101,75 @@ def read(folder: Path) -> CheckedProject:
     finally:
         project.close()
     return checked
+
+
+def tables(content: bytes) -> dict[str, list[tuple[Any, ...]]]:
+    """The rows of all tables of a database."""
+    with contextlib.closing(_opened(content)) as connection:
+        return {
+            name: connection.execute(f"SELECT * FROM {name}").fetchall()
+            for name in MAX_ROWS
+        }
+
+
+def with_value(content: bytes, table: str, row: int, column: int, value: Any) -> bytes:
+    """The database with one value changed.
+
+    A part's content is changed all through: what names it names the new one.
+    """
+    rows = tables(content)
+    changed = list(rows[table][row])
+    old, changed[column] = changed[column], value
+    if (table, column) == ("parts", 1):
+        rows = _renamed(rows, rows[table][row][0], _bytes(old), _bytes(value))
+    else:
+        rows[table][row] = tuple(changed)
+    with contextlib.closing(_opened(content)) as connection:
+        connection.execute("BEGIN")
+        for name, these in rows.items():
+            connection.execute(f"DELETE FROM {name}")
+            for each in these:
+                marks = ", ".join("?" * len(each))
+                with contextlib.suppress(sqlite3.IntegrityError, OverflowError):
+                    connection.execute(
+                        f"INSERT INTO {name} VALUES ({marks})",
+                        each,
+                    )
+        connection.execute("COMMIT")
+        return bytes(connection.serialize())
+
+
+def _renamed(
+    rows: dict[str, list[tuple[Any, ...]]], key: str, old: bytes, new: bytes
+) -> dict[str, list[tuple[Any, ...]]]:
+    parts = {name: _bytes(content) for name, content in rows["parts"]}
+    renamed = [(key, new)]
+    texts = {name: these for name, these in rows.items() if name != "parts"}
+    while renamed:
+        before, content = renamed.pop()
+        after = hashlib.sha256(content).hexdigest()
+        parts.pop(before, None)
+        parts[after] = content
+        for name, other in list(parts.items()):
+            if before.encode() in other and name != after:
+                renamed.append((name, other.replace(before.encode(), after.encode())))
+        for name, these in texts.items():
+            texts[name] = [
+                tuple(
+                    v.replace(before, after) if isinstance(v, str) else v for v in row
+                )
+                for row in these
+            ]
+    return texts | {"parts": list(parts.items())}
+
+
+def _bytes(value: Any) -> bytes:
+    return value if isinstance(value, bytes) else str(value).encode()
+
+
+def _opened(content: bytes) -> sqlite3.Connection:
+    """A database in memory."""
+    connection = sqlite3.connect(":memory:", isolation_level=None)
+    # In memory there is no write-ahead log.
+    connection.deserialize(content[:18] + b"\1\1" + content[20:])
+    return connection
