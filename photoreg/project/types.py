@@ -138,7 +138,7 @@ def _words(hint: Any) -> str:
     simple = {
         float: "a finite number",
         Measured: "a number",
-        int: "an integer",
+        int: "an integer of at most 64 bits",
         str: "text",
         bool: "true or false",
         bytes: "bytes",

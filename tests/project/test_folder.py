@@ -13,6 +13,7 @@ import pytest
 
 from app.control import user_data
 from app.control.autosave import DOCUMENT_TYPES
+from app.control.project_reading import read_all
 from app.control.projects import Projects, remove_untouched
 from app.model.scene_files import demo_folder
 from app.model.session import Session, with_document
@@ -52,7 +53,7 @@ def hashes(folder: Path) -> dict[str, str]:
 
 def opened(folder: Path) -> tuple[Session, Projects]:
     session = Session()
-    projects = Projects(session)
+    projects = Projects(session, read=read_all)
     open_project(projects, (), None, folder)
     return session, projects
 
@@ -76,7 +77,7 @@ def test_the_command_line_refuses_a_folder_in_use_and_names_a_command_for_a_free
     told = " ".join(capfd.readouterr().err.split())
     assert f"Use: photoreg app {' '.join(files)} --project photoreg-project" in told
     assert hashes(mine) == before
-    projects = Projects(Session())
+    projects = Projects(Session(), read=read_all)
     open_project(projects, [Path(f) for f in files], None, Path("photoreg-project"))
     projects.close()
     assert before.items() <= hashes(mine).items()
@@ -233,7 +234,7 @@ def test_a_folder_is_never_removed_with_what_somebody_put_into_it(
     data_folder: Path, mine: Path, touched: bool
 ) -> None:
     session = Session()
-    projects = Projects(session)
+    projects = Projects(session, read=read_all)
     projects.new()
     assert projects.current is not None
     folder = projects.current.folder
@@ -257,7 +258,7 @@ def test_a_folder_is_never_removed_with_what_somebody_put_into_it(
 
 
 def test_an_untouched_project_of_its_own_goes_whole(data_folder: Path) -> None:
-    projects = Projects(Session())
+    projects = Projects(Session(), read=read_all)
     projects.new()
     projects.close()
     assert list((data_folder / "projects").iterdir()) == []

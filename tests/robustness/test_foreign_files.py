@@ -17,6 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from app.control import user_data
+from app.control.project_reading import read_all
 from app.control.projects import Projects, remove_untouched
 from app.model.session import Session, with_document
 from app.model.state import Document
@@ -70,7 +71,7 @@ class World:
     def __init__(self, root: Path) -> None:
         self.root = root
         self.session = Session()
-        self.projects = Projects(self.session)
+        self.projects = Projects(self.session, read=read_all)
         self.known: dict[Path, tuple[int, str]] = {}
         self.newest = root / "nowhere"
         self.height = 0.0

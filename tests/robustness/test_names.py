@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from app.control.project_reading import read_all
 from app.control.projects import Projects
 from app.engine.warm_up import toy_scene
 from app.model import photo_list
@@ -56,13 +57,13 @@ def test_a_photo_whose_name_is_no_text_is_opened_kept_and_found_again(tmp_path):
     document = open_files([path])
     assert photo_files(document) == {photo.name: path}
     session = Session()
-    projects = Projects(session)
+    projects = Projects(session, read=read_all)
     projects.new(document, tmp_path / "project")
     assert projects.wait(20)
     assert not session.state.saving
     projects.close()
     again = Session()
-    reopened = Projects(again)
+    reopened = Projects(again, read=read_all)
     reopened.open(tmp_path / "project")
     try:
         assert not reopened.problems

@@ -13,6 +13,7 @@ import cv2
 import pytest
 
 from app.control.autosave import CHOICES, DOCUMENT_TYPES, fits
+from app.control.project_reading import read_all
 from app.control.projects import Projects, remove_untouched
 from app.control.user_data import LOG_FILE
 from app.model import photo_list
@@ -32,10 +33,11 @@ import sys
 from pathlib import Path
 from app.page.main import open_project
 from app.model.scene_files import demo_folder
+from app.control.project_reading import read_all
 from app.control.projects import Projects, remove_untouched
 from app.model.session import Session, with_document
 session = Session()
-projects = Projects(session)
+projects = Projects(session, read=read_all)
 open_project(projects, (), None, Path(sys.argv[1]))
 height = session.state.document.up[2]
 while True:
@@ -54,7 +56,7 @@ def data_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def _opened(folder: Path) -> tuple[Session, Projects]:
     session = Session()
-    projects = Projects(session)
+    projects = Projects(session, read=read_all)
     open_project(projects, (), None, folder)
     return session, projects
 
@@ -215,7 +217,7 @@ def museum(tmp_path: Path) -> Path:
 
 def _project_of(museum: Path, folder: Path) -> None:
     session = Session()
-    projects = Projects(session)
+    projects = Projects(session, read=read_all)
     open_project(projects, [museum], None, folder)
     session.change("Turn", with_document(up=(0.0, 0.0, 1.0)))
     projects.close()
@@ -345,7 +347,7 @@ def test_closing_waits_for_a_slow_disk(
 def test_what_nobody_asked_for_and_worked_in_does_not_stay(data_folder: Path) -> None:
     folders = data_folder / "projects"
     session = Session()
-    killed = Projects(session)
+    killed = Projects(session, read=read_all)
     open_project(killed, (), None, None)
     assert killed.current is not None
     folder = killed.current.folder
@@ -357,7 +359,7 @@ def test_what_nobody_asked_for_and_worked_in_does_not_stay(data_folder: Path) ->
     assert not folder.exists()
 
     session = Session()
-    touched = Projects(session)
+    touched = Projects(session, read=read_all)
     touched.new()
     session.change("Turn", with_document(up=(0.0, 0.0, 1.0)))
     touched.close()

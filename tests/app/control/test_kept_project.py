@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from app.control.project_reading import read_all
 from app.control.projects import Projects
 from app.model.masks import decode_mask
 from app.model.run import Run
@@ -29,7 +30,7 @@ def session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("PHOTOREG_DATA", str(tmp_path / "data"))
     shutil.copytree(KEPT, tmp_path / "work")
     session = Session()
-    projects = Projects(session)
+    projects = Projects(session, read=read_all)
     open_project(projects, (), None, tmp_path / "work")
     assert projects.problems == []
     yield session

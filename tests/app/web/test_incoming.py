@@ -4,7 +4,6 @@ import contextlib
 import json
 import logging
 import math
-import sqlite3
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -14,6 +13,7 @@ import viser
 from viser import _messages
 
 from app.control.controller import Controller
+from app.control.project_reading import read_all
 from app.control.projects import Projects
 from app.engine.warm_up import toy_scene
 from app.model.session import Session, setting
@@ -24,6 +24,7 @@ from app.web.outgoing import sendable
 from photoreg.registration.config import RegistrationConfig
 from tests.bench.wire import listening, view_from
 from tests.browser.driver import wait_until
+from tests.robustness import lying_projects
 
 HOSTILE = (
     1e20,
@@ -350,7 +351,7 @@ def test_extremes_typed_into_every_field_leave_the_page_and_its_project_whole(
     mesh, photos, cameras = toy_scene()
     entries = tuple(map(PhotoEntry, photos, cameras))
     session = Session()
-    projects = Projects(session)
+    projects = Projects(session, read=read_all)
     projects.new(Document(mesh, mesh, entries), tmp_path / "project")
     controller = Controller(session, projects=projects, warm_up=False)
     page = Page(session, controller, port=0)
@@ -382,7 +383,7 @@ def test_extremes_typed_into_every_field_leave_the_page_and_its_project_whole(
         controller.close()
         projects.close()
     again = Session()
-    reopened = Projects(again)
+    reopened = Projects(again, read=read_all)
     reopened.open(tmp_path / "project")
     try:
         assert again.state.settings == settings
@@ -392,27 +393,35 @@ def test_extremes_typed_into_every_field_leave_the_page_and_its_project_whole(
     assert_clean(caplog, capfd)
 
 
-def test_a_project_that_holds_a_seed_too_large_opens_and_says_so(tmp_path, caplog):
+@pytest.mark.parametrize(
+    ("seed", "sentence"),
+    [
+        (10**19, "seed is 1e+19; give 0 to"),
+        (10**20, "RegistrationConfig.seed should be an integer of at most 64 bits"),
+    ],
+)
+def test_a_project_that_holds_a_seed_too_large_opens_and_says_so(
+    tmp_path, caplog, seed, sentence
+):
     session = Session()
-    projects = Projects(session)
+    projects = Projects(session, read=read_all)
     projects.new(Document(), tmp_path / "project")
     session.change(None, setting(config=RegistrationConfig(seed=7), preset="fast"))
     assert projects.wait(20)
     projects.close()
-    with sqlite3.connect(tmp_path / "project" / "project.db") as database:
-        for table, column in (("settings", "value"), ("parts", "content")):
-            changed = database.execute(
-                f"UPDATE {table} SET {column} = replace(CAST({column} AS TEXT), "
-                f"'\"seed\":7', '\"seed\":100000000000000000000')"
-            )
-            assert changed.rowcount
-    database.close()
+    path = tmp_path / "project" / "project.db"
+    rows = lying_projects.tables(path.read_bytes())["parts"]
+    (row,) = [i for i, (_, part) in enumerate(rows) if b'"seed":7' in part]
+    part = rows[row][1].replace(b'"seed":7', b'"seed":%d' % seed)
+    path.write_bytes(
+        lying_projects.with_value(path.read_bytes(), "parts", row, 1, part)
+    )
     again = Session()
-    reopened = Projects(again)
+    reopened = Projects(again, read=read_all)
     reopened.open(tmp_path / "project")
     try:
         assert again.state.settings.seed == 0
-        assert "seed is 1e+20; give 0 to" in again.state.note
+        assert sentence in again.state.note
     finally:
         reopened.close()
     assert not [r for r in caplog.records if r.exc_info]
