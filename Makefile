@@ -6,7 +6,7 @@ BIN := .venv/bin
 DATA ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-slow test-interop crash fuzz lying-input load check format bench screenshots clean
+.PHONY: help run test test-slow test-interop crash fuzz lying-input load check format bench rooms screenshots clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -53,6 +53,9 @@ format: .venv/.stamp-dev ## Format the code and mend what ruff can
 
 bench: .venv/.stamp-dev ## Measure speed and accuracy (15 minutes); DATA=folder adds real sets, ARGS="kernel --gate" picks
 	$(BIN)/python -m tests.bench $(if $(DATA),--data $(DATA)) $(ARGS)
+
+rooms: .venv/.stamp-dev ## Draw the rooms of the code anew into docs/architecture.md
+	$(BIN)/python -m tests.rooms
 
 screenshots: .venv/.stamp-dev ## Take the README's pictures from the running app
 	@$(BIN)/python tests/browser/ensure_chromium.py
