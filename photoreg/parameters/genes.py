@@ -14,8 +14,8 @@ from jaxtyping import Float
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.rotations import rotation_matrices, rotation_vectors
+from photoreg.parameters.bounds import PriorScales
 from photoreg.parameters.freedom import Freedom
-from photoreg.parameters.increments import PriorScales
 from photoreg.words import listed
 
 CameraModel = Literal["pinhole", "full"]

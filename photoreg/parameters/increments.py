@@ -13,8 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from photoreg.geometry.camera import MAX_FOCAL_PX, Camera
+from photoreg.geometry.camera import Camera
 from photoreg.geometry.rotations import left_jacobian, rotation_matrix, rotation_vector
+from photoreg.parameters.bounds import PriorScales, farthest_from
 from photoreg.parameters.freedom import NOTHING_HELD, Freedom, Held
 
 N_INCREMENTS = 9
@@ -31,35 +32,8 @@ NAMES = (
 )
 """What each increment moves, in plain words, in order."""
 
-MAX_TURN_RAD = 0.5 * np.pi
-MAX_SHIFT_SHARE = 0.75
-MAX_FOCAL_FACTOR = 4.0
-MAX_PRINCIPAL_SHARE = 0.5
-"""How far the numbers may take a camera from its base: the turn about each axis, the
-shift along each as a share of the distance, the focal length up or down, the principal
-point as a share of the photo's size. It can still be a camera of the same photo there;
-beyond, the object is behind it, or numbers overflow."""
-
 N_GEOMETRY = 36
 """Length of the vector in which a camera goes to the kernels; see ``geometry``."""
-
-
-@dataclasses.dataclass(frozen=True)
-class PriorScales:
-    """One standard deviation of the prior around the pre-registration.
-
-    The defaults are the paper's gene intervals (section 4), one sigma each; those of
-    ``genes.GeneBox`` are these.
-    """
-
-    rotation_deg: float = 1.0
-    """Rotation about each camera axis, in degrees."""
-    translation: float = 0.03
-    """Shift along each camera axis, as a share of the camera's distance."""
-    focal: float = 0.02
-    """Focal length, as a share of itself."""
-    principal_point: float = 0.005
-    """Principal point, as a share of the photo's width and height."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -101,17 +75,7 @@ class Increments:
     @property
     def limits(self) -> Float[np.ndarray, "9"]:
         """Largest size of each number: within, every vector is a camera."""
-        base, units = self.base, self.units
-        # No base comes near to it but one that is absurd already.
-        focal = min(
-            MAX_FOCAL_FACTOR, MAX_FOCAL_PX / float(np.abs(base.K[:2, :2]).max())
-        )
-        most = np.array(
-            [MAX_TURN_RAD] * 3
-            + [MAX_SHIFT_SHARE * self.distance] * 3
-            + [np.log(focal)]
-            + [MAX_PRINCIPAL_SHARE * base.width, MAX_PRINCIPAL_SHARE * base.height]
-        )
+        units, most = self.units, farthest_from(self.base, self.distance)
         return np.divide(most, units, out=np.full(9, np.inf), where=units > 0.0)
 
     @property

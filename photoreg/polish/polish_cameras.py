@@ -18,11 +18,11 @@ from photoreg.geometry.surface_view import (
     surface_views,
 )
 from photoreg.imaging.photo import Photo
+from photoreg.parameters.bounds import PriorScales
 from photoreg.parameters.freedom import Freedom
 from photoreg.parameters.increments import (
     N_INCREMENTS,
     Increments,
-    PriorScales,
     free_directions,
 )
 from photoreg.polish.levenberg_marquardt import Damping, Prior, minimise

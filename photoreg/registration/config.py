@@ -8,8 +8,8 @@ import tyro
 
 from photoreg.errors import InputError
 from photoreg.geometry.visibility import VisibilityMethod
+from photoreg.parameters.bounds import PriorScales
 from photoreg.parameters.genes import CameraModel, Coordinates, GeneBox
-from photoreg.parameters.increments import PriorScales
 from photoreg.polish.polish_cameras import PolishConfig
 from photoreg.search.genetic import GeneticConfig
 from photoreg.search.photo_consistency import ConsistencyConfig

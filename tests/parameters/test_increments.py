@@ -8,7 +8,8 @@ import pytest
 
 from photoreg.geometry.camera import MAX_FOCAL_PX, Camera
 from photoreg.geometry.rotations import rotation_matrix, rotation_vector
-from photoreg.parameters.increments import Increments, PriorScales
+from photoreg.parameters.bounds import PriorScales
+from photoreg.parameters.increments import Increments
 from photoreg.polish.kernels import rim_rows
 
 

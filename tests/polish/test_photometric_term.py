@@ -9,7 +9,8 @@ import pytest
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.surface_view import surface_view
-from photoreg.parameters.increments import Increments, PriorScales
+from photoreg.parameters.bounds import PriorScales
+from photoreg.parameters.increments import Increments
 from photoreg.polish.kernels import colours_at, weighted_moments
 from photoreg.polish.photometric_term import CUT, PairTerm, measure_noise
 from photoreg.polish.polish_cameras import PolishConfig, _terms, _working_size

@@ -8,7 +8,8 @@ import pytest
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.surface_view import surface_view
-from photoreg.parameters.increments import Increments, PriorScales
+from photoreg.parameters.bounds import PriorScales
+from photoreg.parameters.increments import Increments
 from photoreg.polish.silhouette_term import RimTerm, find_edges, find_rim
 from tests.polish_scene import make_polish_scene
 

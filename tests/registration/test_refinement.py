@@ -9,8 +9,8 @@ import pytest
 from photoreg.errors import InputError, RefinementError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.projection_error import projection_error
+from photoreg.parameters.bounds import PriorScales
 from photoreg.parameters.genes import GeneBox, GeneMap
-from photoreg.parameters.increments import PriorScales
 from photoreg.polish.misfit import disagreement
 from photoreg.polish.polish_cameras import PolishConfig
 from photoreg.registration import refinement, verdict
