@@ -1,0 +1,58 @@
+"""Starts too far off: a run ends with a verdict, and no farther off than it can tell."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from photoreg.polish.misfit import against_chance, disagreement
+from photoreg.polish.polish_cameras import PolishConfig
+from photoreg.registration.config import RegistrationConfig
+from photoreg.registration.events import Finished
+from photoreg.registration.refinement import refine
+from photoreg.registration.verdict import is_better
+from photoreg.synthetic.rough_cameras import rough_start
+from tests.scenes import small_scene
+
+THOROUGH = RegistrationConfig.preset("thorough")
+QUICK = dataclasses.replace(
+    THOROUGH,
+    samples=300,
+    genetic=dataclasses.replace(THOROUGH.genetic, population=60, generations=5),
+    polish=PolishConfig(blurs_px=(8.0, 2.0), points=(1000, 2000), rounds=(2, 1)),
+)
+FAR_PX = (34.0, 78.0)
+"""As far off, in photos of 320x240, as 110 to 250 px at 1,024."""
+
+
+def is_kept_or_better(scene, start, last, config) -> bool:
+    """Whether the end is the start, or better by what the verdict measures."""
+    if all(np.array_equal(a.P, b.P) for a, b in zip(start, last.cameras, strict=True)):
+        return True
+    photos = [photo.resized(config.polish.max_side_px) for photo in scene.photos]
+    before, after = (
+        against_chance(
+            disagreement(scene.mesh, photos, cameras, config.polish.min_cosine),
+            scene.mesh,
+            photos,
+            cameras,
+        )
+        for cameras in (start, last.cameras)
+    )
+    return is_better(after, before)
+
+
+def check_end(scene, seed, config):
+    start = rough_start(scene.mesh, scene.cameras, FAR_PX, seed)
+    *_, last = refine(scene.mesh, scene.photos, start, config)
+    assert isinstance(last, Finished)
+    assert last.verdict is not None
+    for camera in last.cameras:
+        assert np.isfinite(camera.P).all()
+    if not last.verdict.is_credible:
+        assert is_kept_or_better(scene, start, last, config), seed
+
+
+@pytest.mark.parametrize("seed", [1, 3, 5])
+def test_a_short_run_from_far_off_ends_with_a_verdict_and_no_worse(seed):
+    check_end(small_scene(), seed, QUICK)
