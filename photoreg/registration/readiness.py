@@ -65,7 +65,7 @@ class Readiness:
     masked: tuple[str, ...] = ()
     """Photos whose masks leave hardly anything of the surface."""
     featureless: tuple[str, ...] = ()
-    """Photos with neither texture nor edges, as black ones."""
+    """Photos with neither texture nor edges anywhere, as black ones."""
     same: tuple[tuple[str, str], ...] = ()
     """Photos that show one picture, pair by pair."""
 
@@ -85,8 +85,7 @@ class Readiness:
                 for name in self.masked
             ),
             *(
-                f"{name} shows neither texture on the surface nor an edge near its "
-                "outline, so no camera can be found for it: leave the photo out, or take "
+                f"{name} shows neither texture nor edges anywhere, so no camera can be found for it: leave the photo out, or take "
                 "another."
                 for name in self.featureless
             ),
@@ -175,7 +174,8 @@ def check_readiness(
         points = samples.points[with_others if with_others.any() else own]
         if texture_contrast(photo, camera, points) < MIN_CONTRAST:
             plain.append(photo.name)
-            if _n_edges(mesh, photo, camera) < MIN_EDGES:
+            # A camera far off sees nothing either, where the photo shows background.
+            if is_uniform(photo) and _n_edges(mesh, photo, camera) < MIN_EDGES:
                 featureless.append(photo.name)
     overlap = float(shared.sum() / max(1, either.sum()))
     return Readiness(
@@ -250,22 +250,38 @@ def texture_contrast(
     Returns:
         A robust standard deviation, in grey levels of 255.
     """
-    small = photo.resized(SIDE_PX)
-    grey = cv2.cvtColor(small.pixels, cv2.COLOR_RGB2GRAY).astype(np.float32)
-    detail = cv2.GaussianBlur(grey, (0, 0), FINE_PX)
-    detail -= cv2.GaussianBlur(grey, (0, 0), COARSE_PX)
-    pixels = camera.resized(small.width, small.height).project(points)
+    detail, noise = _detail(photo)
+    height, width = detail.shape
+    pixels = camera.resized(width, height).project(points)
     columns, rows = np.rint(pixels).astype(int).T
     inside: Bool[np.ndarray, "n"] = (
-        (columns >= 0) & (rows >= 0) & (columns < small.width) & (rows < small.height)
+        (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
     )
     if not inside.any():
         return 0.0
     values = np.abs(detail[rows[inside], columns[inside]])
     contrast = 1.48 * float(np.median(values))
-    # White noise of this strength, after the finer blur.
-    noise = _noise_levels(grey) / (2.0 * np.sqrt(np.pi) * FINE_PX)
     return float(np.sqrt(max(0.0, contrast**2 - noise**2)))
+
+
+def is_uniform(photo: Photo) -> bool:
+    """Whether a photo shows nothing anywhere, as a black or a white one."""
+    detail, noise = _detail(photo)
+    # Of normal noise one pixel in ten million is beyond five standard deviations.
+    return float(np.abs(detail).max()) < max(MIN_CONTRAST, 5.0 * noise)
+
+
+def _detail(photo: Photo) -> tuple[Float[np.ndarray, "h w"], float]:
+    """A reduced photo's detail, and what white noise of its strength leaves there.
+
+    Both in grey levels of 255.
+    """
+    grey = cv2.cvtColor(photo.resized(SIDE_PX).pixels, cv2.COLOR_RGB2GRAY)
+    grey = grey.astype(np.float32)
+    detail = cv2.GaussianBlur(grey, (0, 0), FINE_PX)
+    detail -= cv2.GaussianBlur(grey, (0, 0), COARSE_PX)
+    # White noise, after the finer blur.
+    return detail, _noise_levels(grey) / (2.0 * np.sqrt(np.pi) * FINE_PX)
 
 
 def _noise_levels(grey: np.ndarray) -> float:

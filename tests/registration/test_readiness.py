@@ -65,6 +65,19 @@ def test_photos_of_one_colour_are_refused_before_the_run(value):
         list(refine(scene.mesh, photos, scene.rough_cameras))
 
 
+def test_a_camera_far_off_over_bare_background_is_no_fault_of_its_photo():
+    scene = rock()
+    # The object is small in the photo's corner; the camera looks for it in the middle.
+    photo = scene.photos[0]
+    pixels = np.full_like(photo.pixels, 90)
+    pixels[:48, :64] = photo.pixels[::5, ::5]
+    photos = [dataclasses.replace(photo, pixels=pixels), scene.photos[1]]
+    found = check_readiness(scene.mesh, photos, scene.cameras)
+    assert photo.name in found.plain
+    assert found.featureless == ()
+    assert found.is_possible
+
+
 def test_one_picture_under_two_names_is_refused_before_the_run():
     scene = rock()
     first = scene.photos[0]
