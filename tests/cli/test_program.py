@@ -23,6 +23,11 @@ from tests.bench.wire import listening
 GIVEN = "a-token-of-the-tests-0123456789"
 
 
+def _hear_signals() -> None:
+    for name in ("SIGHUP", "SIGINT"):
+        signal.signal(getattr(signal, name), signal.SIG_DFL)
+
+
 @contextlib.contextmanager
 def program(
     tmp_path: Path, *arguments: str
@@ -35,6 +40,8 @@ def program(
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
+        # What runs under nohup ignores SIGHUP, and so would the program.
+        preexec_fn=_hear_signals,  # noqa: PLW1509
     ) as process:
         assert process.stdout is not None
         try:
