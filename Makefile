@@ -6,7 +6,7 @@ BIN := .venv/bin
 DATA ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-slow test-interop crash fuzz lying-input load check format bench rooms screenshots clean
+.PHONY: help run test test-shapes test-slow test-interop crash fuzz lying-input load check format bench rooms licences docs screenshots clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -24,11 +24,15 @@ test-slow: .venv/.stamp-dev ## Run the tests marked slow (minutes)
 	@$(BIN)/python tests/browser/ensure_chromium.py
 	$(BIN)/pytest -m slow --ignore tests/interop
 
+test-shapes: .venv/.stamp-dev ## Run the tests of the arithmetic with every shape and type checked at every call
+	PHOTOREG_CHECK_SHAPES=1 $(BIN)/pytest -n 2 -m "not slow and not wrong_types" tests/geometry tests/imaging tests/parameters tests/resection
+
 test-interop: .venv/.stamp-interop ## Let COLMAP, MeshLab, Open3D, Blender and three.js read our files
 	@$(BIN)/python tests/browser/ensure_chromium.py
 	PHOTOREG_BLENDER=.venv/blender/bin/python .venv/interop/bin/pytest -m slow -p no:dash tests/interop
 
 crash: .venv/.stamp-dev ## Kill server and worker 200 times at random moments and look for what is lost (15 minutes); ARGS="--kills 20"
+	@$(BIN)/python -m tests.compile_kernels
 	$(BIN)/python -m tests.robustness.crash $(ARGS)
 
 load: .venv/.stamp-dev ## Ten browsers at once watch runs for ten minutes, drawing nothing, then two in Chromium; ARGS="--minutes 1 --pages 0"
@@ -57,6 +61,13 @@ bench: .venv/.stamp-dev ## Measure speed and accuracy (15 minutes); DATA=folder 
 rooms: .venv/.stamp-dev ## Draw the rooms of the code anew into docs/architecture.md
 	$(BIN)/python -m tests.rooms
 
+docs: .venv/.stamp-docs ## Build the documentation into build/docs; a warning or a dead link fails
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	$(BIN)/python -m docs.check_site build/docs
+
+licences: .venv/.stamp-dev ## Write the licences of what is installed into docs/licences.md
+	$(BIN)/python -m tests.licences
+
 screenshots: .venv/.stamp-dev ## Take the README's pictures from the running app
 	@$(BIN)/python tests/browser/ensure_chromium.py
 	$(BIN)/python -m tests.browser.screenshots
@@ -80,6 +91,11 @@ clean: ## Remove the environment and what tools left behind
 .venv/.stamp-dev: .venv/.stamp-app pyproject.toml
 	@echo "Installing the test tools into .venv (once) ..."
 	@$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+.venv/.stamp-docs: .venv/.stamp-dev pyproject.toml
+	@echo "Installing MkDocs into .venv (once) ..."
+	@$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	@touch $@
 
 # MeshLab projects photos with OpenGL, and Open3D looks for cameras at USB. On Debian or

@@ -1,5 +1,6 @@
 """`photoreg`: the app when no command is named, else the command line."""
 
+import atexit
 import contextlib
 import os
 import signal
@@ -53,6 +54,8 @@ def main() -> int:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         # What is left is the interpreter's own end.
         signal.signal(signal.SIGINT, lambda *_: os._exit(status))
+        # At its very end Python gives signals back to the system, which would kill it.
+        atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
     return status
 
 

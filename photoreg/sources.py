@@ -1,16 +1,17 @@
-"""Opening what is read: regular files only, and a fingerprint of their content.
+"""Opening files: regular ones only, and a fingerprint of their content.
 
 A pipe, a device or a socket in the place of a file would block whoever opens it, or never
 end. So everything that photoreg reads is opened here.
 """
 
+import contextlib
 import dataclasses
 import errno
 import hashlib
+import io
 import os
 import stat
 from pathlib import Path
-from typing import IO
 
 _KINDS = {
     stat.S_IFDIR: "a folder",
@@ -34,7 +35,45 @@ class SourceFile:
     """Size in bytes."""
 
 
-def open_for_reading(path: Path, *, follow_link: bool = True) -> IO[bytes]:
+def open_regular(
+    path: Path | str,
+    flags: int = os.O_RDONLY,
+    *,
+    follow_link: bool,
+    inside: int | None = None,
+) -> int:
+    """Opens or makes a regular file; never waits for anybody.
+
+    Args:
+        path: Where it is.
+        flags: As of `os.open`.
+        follow_link: Whether it may be a link to a file.
+        inside: Handle of the folder that a relative path begins at.
+
+    Returns:
+        Its handle.
+
+    Raises:
+        OSError: if it cannot be opened, or is not a file; says in words what it is.
+    """
+    # Before it is opened: opening some devices does something already.
+    with contextlib.suppress(FileNotFoundError):
+        found = os.stat(path, dir_fd=inside, follow_symlinks=follow_link)
+        _check_regular(path, found)
+    for name in ("O_BINARY", "O_NOCTTY", "O_NONBLOCK"):
+        flags |= getattr(os, name, 0)  # Windows knows the first, Unix the others.
+    if not follow_link:
+        flags |= getattr(os, "O_NOFOLLOW", 0)
+    handle = os.open(path, flags, 0o666, dir_fd=inside)
+    try:
+        _check_regular(path, os.fstat(handle))  # It may be another one by now.
+    except BaseException:
+        os.close(handle)
+        raise
+    return handle
+
+
+def open_for_reading(path: Path, *, follow_link: bool = True) -> io.BufferedReader:
     """Opens a file to be read; never waits for anybody.
 
     Args:
@@ -44,20 +83,7 @@ def open_for_reading(path: Path, *, follow_link: bool = True) -> IO[bytes]:
     Raises:
         OSError: if it cannot be opened, or is not a file; says in words what it is.
     """
-    # Before it is opened: opening some devices does something already.
-    _check_regular(path, path.stat() if follow_link else path.lstat())
-    flags = os.O_RDONLY
-    for name in ("O_BINARY", "O_CLOEXEC", "O_NOCTTY", "O_NONBLOCK"):
-        flags |= getattr(os, name, 0)  # Windows knows the first, Unix the others.
-    if not follow_link:
-        flags |= getattr(os, "O_NOFOLLOW", 0)
-    file = os.open(path, flags)
-    try:
-        _check_regular(path, os.fstat(file))  # It may be another one by now.
-        return os.fdopen(file, "rb")
-    except BaseException:
-        os.close(file)
-        raise
+    return os.fdopen(open_regular(path, follow_link=follow_link), "rb")
 
 
 def read_regular(path: Path, *, follow_link: bool = True) -> bytes:
@@ -81,7 +107,7 @@ def source_file(path: Path) -> SourceFile:
     return SourceFile(path.absolute(), digest.hexdigest(), size)
 
 
-def _check_regular(path: Path, status: os.stat_result) -> None:
+def _check_regular(path: Path | str, status: os.stat_result) -> None:
     if not stat.S_ISREG(status.st_mode):
         kind = _KINDS.get(stat.S_IFMT(status.st_mode), "something else")
         raise OSError(errno.EINVAL, f"it is {kind}, not a file", str(path))

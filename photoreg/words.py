@@ -12,3 +12,8 @@ def listed(words: Sequence[str]) -> str:
 def nfc(name: str) -> str:
     """A name in Unicode's composed form: macOS and its zips have them decomposed."""
     return unicodedata.normalize("NFC", name)
+
+
+def percent(share: float) -> str:
+    """A share in [0, 1] as whole per cents; less than one is said as such."""
+    return "less than 1 %" if 0.0 < share < 0.005 else f"{100.0 * share:.0f} %"

@@ -47,7 +47,7 @@
   root.innerHTML = `
     <div class="pr-bar">
       <button data-mode="points" aria-pressed="true" title="Click places a point">Points</button>
-      <button data-mode="out" aria-pressed="false" title="Paint what shall not count">Leave out</button>
+      <button data-mode="out" aria-pressed="false" title="Paint what shall not count">Mask</button>
       <button data-mode="in" aria-pressed="false" title="Paint back what shall count">Bring back</button>
       <span style="flex:1"></span>
       <button data-do="fit" title="The whole photo">Fit</button>

@@ -20,7 +20,8 @@ from photoreg.texture.blend import TextureConfig
 
 def _polish() -> None:
     mesh, photos, cameras = toy_scene()
-    next(iter(polish_cameras(mesh, photos, cameras, cameras)))
+    for n in (2, 1):
+        next(iter(polish_cameras(mesh, photos[:n], cameras[:n], cameras[:n])))
 
 
 def _search_and_bake() -> None:
@@ -30,6 +31,7 @@ def _search_and_bake() -> None:
         genetic = dataclasses.replace(config.genetic, population=20, generations=2)
         config = dataclasses.replace(config, genetic=genetic, polish_after=False)
         list(refine(mesh, photos, cameras, config))
+    list(refine(mesh, photos[:1], cameras[:1], config))
     make_scene(SceneOptions(kind="clean", width=80, height=60))
     for config in (TextureConfig(size=64), TextureConfig(size=64, mode="best")):
         bake_texture(mesh, photos, cameras, config)

@@ -13,7 +13,11 @@ from typing import Any
 import pytest
 from numba.core.registry import CPUDispatcher
 
-import photoreg
+from tests import shape_checks
+
+shape_checks.install()
+
+import photoreg  # noqa: E402
 
 
 @pytest.fixture

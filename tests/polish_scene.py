@@ -7,6 +7,7 @@ import numpy as np
 import trimesh
 
 from photoreg.geometry.camera import Camera
+from photoreg.geometry.lens import IDEAL
 from photoreg.geometry.mesh import Mesh
 from photoreg.imaging.photo import Photo
 
@@ -63,19 +64,23 @@ def photograph(mesh, camera, name, gain=1.0, offset=0.0, samples=2):
 
 
 @functools.cache
-def make_polish_scene(gain=1.0, offset=0.0, width=400, height=300, n_photos=2):
+def make_polish_scene(
+    gain=1.0, offset=0.0, width=400, height=300, n_photos=2, lens=IDEAL, share=1.45
+):
+    """Photos with a focal length of ``share`` times the width, filled alike."""
     mesh = bumpy_ball()
     cameras, photos, rough = [], [], []
     rng = np.random.default_rng(4)
     for i in range(n_photos):
         angle = np.deg2rad(25.0 * i - 12.0)
-        center = np.array([5.0 * np.sin(angle), -0.6, -5.0 * np.cos(angle)])
+        distance = 5.0 * share / 1.45
+        center = np.array([distance * np.sin(angle), -0.6, -distance * np.cos(angle)])
         camera = Camera.look_at(
-            center, [0.02, 0.03, 0.0], [0.0, -1.0, 0.1], 1.45 * width, width, height
+            center, [0.02, 0.03, 0.0], [0.0, -1.0, 0.1], share * width, width, height
         )
         K = camera.K.copy()
         K[:2, 2] += (1.5, -1.0)
-        camera = dataclasses.replace(camera, K=K)
+        camera = dataclasses.replace(camera, K=K, lens=lens)
         cameras.append(camera)
         factor, shift = (1.0, 0.0) if i == 0 else (gain, offset)
         photos.append(photograph(mesh, camera, f"{i}.png", factor, shift))
@@ -83,7 +88,7 @@ def make_polish_scene(gain=1.0, offset=0.0, width=400, height=300, n_photos=2):
             center * (1.0 + 0.02 * rng.normal()) + 0.07 * rng.normal(size=3),
             [0.02, 0.03, 0.0] + 0.02 * rng.normal(size=3),
             [0.02 * rng.normal(), -1.0, 0.1],
-            1.45 * width * (1.0 + 0.015 * rng.normal()),
+            share * width * (1.0 + 0.015 * rng.normal()),
             width,
             height,
         )

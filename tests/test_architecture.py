@@ -3,6 +3,7 @@
 import ast
 import importlib
 import re
+import tomllib
 
 import pytest
 
@@ -48,6 +49,18 @@ def _is_there(name: str) -> bool:
 @pytest.mark.parametrize("name", ["app.model.nowhere", "photoreg.errors.NoSuchError"])
 def test_a_name_that_is_gone_is_noticed(name: str) -> None:
     assert not _is_there(name)
+
+
+def test_the_floors_are_few_and_nothing_is_excepted_from_them() -> None:
+    settings = tomllib.loads((rooms.ROOT / "pyproject.toml").read_text())
+    contracts = settings["tool"]["importlinter"]["contracts"]
+    assert not [c for c in contracts if "ignore_imports" in c]
+    for package, most_floors, most_modules in (("photoreg", 12, 8), ("app", 6, 4)):
+        (contract,) = [c for c in contracts if c.get("containers") == [package]]
+        assert contract["exhaustive"]
+        assert len(contract["layers"]) <= most_floors
+        at_top = list((rooms.ROOT / package).glob("*.py"))
+        assert 0 < len(at_top) <= most_modules, at_top
 
 
 def test_viser_s_private_modules_are_imported_in_one_room_only() -> None:

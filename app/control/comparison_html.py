@@ -42,6 +42,8 @@ def comparison_html(photo: PhotoComparison, left: str) -> str:
 
     ``left`` says what is before: the start, or another run.
     """
+    if not photo.disagreement_before:
+        return swipe_html(photo.before, photo.after, left)
     return swipe_html(photo.before, photo.after, left) + beside_html(
         photo.disagreement_before,
         photo.disagreement_after,

@@ -90,8 +90,8 @@ class Controller:
         """Camera centres of the population of a search that runs, (n, c, 3)."""
         self.on_picture: Callable[[], None] = lambda: None
         self.on_surface: Callable[[], None] = lambda: None
-        self.on_problem: Callable[[str], None] = _ignore
-        """Called with a sentence for everybody who looks at the page."""
+        self.on_problem: Callable[[str, str], None] = _ignore
+        """Called with a title and a sentence for everybody who looks at the page."""
         self.on_failure: Callable[[str, Exception], None] = log_failure
         """Called with what failed, and how, where nobody foresaw it."""
         self._scene_sent: Document | None = None
@@ -191,6 +191,7 @@ class Controller:
                 [entry.photo for entry in document.photos],
                 document.mesh,
                 choice.with_photos,
+                choice.undistorted and document.has_lens,
             )
         finally:
             self._set(job=None)
@@ -277,9 +278,9 @@ class Controller:
         if event.job == Refine.__name__:
             what, rest = "The refinement", self._break_off("The refinement failed")
         if event.details:
-            self.on_problem(f"{what} was cut short: {event.message} {rest}")
+            self.on_problem(f"{what} was cut short", f"{event.message} {rest}")
         else:
-            self.on_problem(event.message)
+            self.on_problem(f"{what} failed", event.message)
 
     def _on_death(self, event: Died) -> None:
         log.error("The worker process died (exit code %s)", event.exit_code)
@@ -296,8 +297,8 @@ class Controller:
         else:
             return
         self.on_problem(
-            f"{what} was cut short: the engine process died. It is being started "
-            f"again. {rest}"
+            f"{what} was cut short",
+            f"The engine process died. It is being started again. {rest}",
         )
 
     def _break_off(self, outcome: str) -> str:
@@ -321,7 +322,7 @@ class Controller:
             if wanted_view(new) != wanted_view(old):
                 self.worker.send(wanted_view(new))
             return
-        if new.document.mesh is None or len(new.document.used) < 2:
+        if new.document.mesh is None or not new.document.used:
             return
         with self._lock:
             reach = wanted_reach(new)
@@ -366,8 +367,8 @@ class Controller:
             )
         self._scene_sent = document
 
-    def _tell(self, sentence: str) -> None:
-        self.on_problem(sentence)
+    def _tell(self, title: str, sentence: str) -> None:
+        self.on_problem(title, sentence)
 
     def _set(self, **values: Any) -> None:
         self.session.change(None, rules.setting(**values))
@@ -377,5 +378,5 @@ def _drop(_name: str, _content: bytes) -> None:
     """Nobody has asked for a file."""
 
 
-def _ignore(_: str) -> None:
+def _ignore(_title: str, _sentence: str) -> None:
     """Nobody is there to be told."""

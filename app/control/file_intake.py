@@ -12,7 +12,16 @@ from pathlib import Path
 
 from app.engine.read_job import Reader, ReadRequest, UnpackRequest
 from app.model import reducers
-from app.model.file_kinds import CAMERAS, KINDS, MESH, PHOTO, is_zip, kind_of
+from app.model.file_kinds import (
+    CAMERAS,
+    KINDS,
+    MATERIAL,
+    MESH,
+    PHOTO,
+    UNREAD,
+    is_zip,
+    kind_of,
+)
 from app.model.messages import (
     CamerasLoaded,
     Failed,
@@ -28,6 +37,7 @@ from app.model.scene_files import photo_files
 from app.model.session import Session, setting
 from app.model.state import Document, Job, State
 from photoreg.errors import InputError, PhotoregError
+from photoreg.formats.foreign import what_to_do
 from photoreg.project.files import keep_file, plain_name
 from photoreg.sources import read_regular
 
@@ -45,10 +55,19 @@ class Batch:
     """Name of the first file."""
     begins_anew: bool = False
     """Whether they take the place of what is open."""
+    came: frozenset[Path] = frozenset()
+    """What came as it is; all else came out of zips or is packed together."""
     unpacked: list[Path] = dataclasses.field(default_factory=list)
-    """What came out of zips."""
+    """What is to be read after that."""
     loaded: list[Loaded] = dataclasses.field(default_factory=list)
     problems: list[str] = dataclasses.field(default_factory=list)
+    left_out: tuple[str, ...] = ()
+    """A sentence for each file in a zip that is of a kind that is not read."""
+
+    def culprit(self, problem: str) -> str:
+        """The file that ``problem`` is about, by name."""
+        named = (path.name for path in (*self.came, *self.unpacked))
+        return next((name for name in named if name in problem), self.first)
 
     def put_into(self, state: State) -> State:
         """The state with what was read; what does not fit is a problem."""
@@ -70,9 +89,14 @@ class Batch:
             # Where the work begins: the first of the new photos.
             state = dataclasses.replace(state, selected=n_before)
         if len(self.loaded) > 1:
-            mesh = state.document.mesh
-            notes = mesh.notes if mesh is not None else ()
-            note = " ".join([f"{len(self.loaded)} files are open.", *notes])
+            notes = [f"{len(self.loaded)} files are open."]
+            for event in self.loaded:
+                match event:
+                    case MeshLoaded():
+                        notes += event.mesh.notes
+                    case CamerasLoaded():
+                        notes += event.file.notes
+            note = " ".join(notes)
             state = dataclasses.replace(state, note=note)
         return state
 
@@ -87,7 +111,7 @@ class FileIntake:
         self,
         session: Session,
         must_be_idle: Callable[[], None],
-        on_problem: Callable[[str], None],
+        on_problem: Callable[[str, str], None],
         keep_in_project: Callable[[str, bytes], Path | None] = lambda *_: None,
     ) -> None:
         self._session = session
@@ -106,8 +130,12 @@ class FileIntake:
 
     @property
     def is_busy(self) -> bool:
-        """Whether files are coming or are being read."""
-        return self._sender is not None or self._batch is not None
+        """Whether files are coming or are being read.
+
+        Once it is false, what came is in the state.
+        """
+        with self._session.lock:
+            return self._sender is not None or self._batch is not None
 
     def close(self) -> None:
         """Ends the reading and removes the files."""
@@ -202,7 +230,8 @@ class FileIntake:
             batch = Batch(step, paths[0].name)
             archives = [path for path in paths if is_zip(path)]
             found = [path for path in paths if not is_zip(path)]
-            if archives:
+            has_mesh = any(kind_of(path) == MESH for path in found)
+            if archives or (has_mesh and len(found) > 1):
                 self._unpack(batch, archives, found)
             else:
                 self._read(batch, found)
@@ -213,13 +242,15 @@ class FileIntake:
         """Takes what is wanted out of zips, and reads it together with ``found``."""
         document = self._session.state.document
         packed = UnpackRequest(
+            tuple(found),
             tuple(archives),
             self._cameras,
             frozenset(entry.name for entry in document.photos)
             | {path.name for path in found},
             document.mesh is not None or any(kind_of(p) == MESH for p in found),
         )
-        self._begin(batch, packed, lambda paths: self._read(batch, [*found, *paths]))
+        batch.came = frozenset(found)
+        self._begin(batch, packed, lambda paths: self._read(batch, paths))
 
     def _read(self, batch: Batch, found: Sequence[Path]) -> None:
         """Reads files, and opens them together.
@@ -227,6 +258,15 @@ class FileIntake:
         Raises:
             InputError: if there are two meshes among them, or nothing is.
         """
+        materials = [path for path in found if kind_of(path) == MATERIAL]
+        if materials:
+            batch.problems.append(
+                f"{materials[0].name} describes the materials of a mesh that does not "
+                "name it, or is not there. Drop it together with its OBJ and pictures."
+            )
+            found = [path for path in found if path not in materials]
+            if not found:
+                raise InputError(batch.problems.pop())
         meshes = [path for path in found if kind_of(path) == MESH]
         if len(meshes) > 1:
             raise InputError(
@@ -294,8 +334,12 @@ class FileIntake:
                 case MeshLoaded() | PhotoLoaded() | CamerasLoaded():
                     batch.loaded.append(event)
                 case Unpacked():
+                    batch.left_out = event.left_out
                     try:
-                        batch.unpacked += [self._kept(path) for path in event.paths]
+                        batch.unpacked += [
+                            path if path in batch.came else self._kept(path)
+                            for path in event.paths
+                        ]
                     except PhotoregError as error:
                         batch.problems.append(str(error))
                 case Failed():
@@ -322,7 +366,9 @@ class FileIntake:
             except PhotoregError as error:
                 batch.problems.append(str(error))
         for problem in batch.problems:
-            self._on_problem(problem)
+            self._on_problem(f"Could not open {batch.culprit(problem)}", problem)
+        for sentence in batch.left_out:
+            self._on_problem(f"Left out of {batch.first}", sentence)
 
     def _show(self, title: str, fraction: float) -> None:
         job = Job(title, fraction, can_stop=True)
@@ -330,7 +376,7 @@ class FileIntake:
 
     def _kept(self, path: Path) -> Path:
         """A file out of a zip, where it stays."""
-        if kind_of(path) == CAMERAS:
+        if kind_of(path) in (CAMERAS, MATERIAL):
             return path  # Only read.
         return self._keep_file(plain_name(path.name), read_regular(path))
 
@@ -348,14 +394,17 @@ class FileIntake:
         # Only the last part of the name: a path must not leave the folder.
         plain = plain_name(name)
         kind = kind_of(Path(plain))
-        if kind == len(KINDS):
+        if kind == UNREAD:
             suffixes = ", ".join(suffix for kind in KINDS for suffix in kind)
+            why = what_to_do(Path(plain))
             raise InputError(
-                f"{plain} is not a file photoreg opens: the suffix should be one of "
-                f"{suffixes}."
+                f"{plain} is not a file photoreg opens"
+                f"{f': {why}' if why else ''}. What is opened ends in {suffixes}."
             )
         if kind < CAMERAS:
             return self._keep_file(plain, content)
+        if kind == MATERIAL:
+            return keep_file(self._new_folder(), plain, content)
         if (self._cameras / plain).exists():
             raise InputError(f"{plain} came twice. Give one, or a zip with folders.")
         return keep_file(self._cameras, plain, content)

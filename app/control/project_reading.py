@@ -11,7 +11,7 @@ import multiprocessing
 import os
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -24,6 +24,7 @@ from app.model.run import Run
 from app.model.state import Document
 from photoreg.errors import InputError, PhotoregError
 from photoreg.project.check import CheckedProject, check_project
+from photoreg.sources import SourceFile
 
 log = logging.getLogger(__name__)
 
@@ -45,9 +46,17 @@ class ProjectReader:
         self._ended = False
 
     def read(
-        self, folder: Path, on_part: Callable[[str], None] = lambda _: None
+        self,
+        folder: Path,
+        on_part: Callable[[str], None] = lambda _: None,
+        files: Mapping[str, SourceFile] | None = None,
     ) -> CheckedProject:
         """Reads a project; returns what of it needs not be read again.
+
+        Args:
+            folder: The project's folder.
+            on_part: Told what is read next.
+            files: Files of the project, by key, that are elsewhere than it knows.
 
         Raises:
             InputError: if it cannot be opened, takes too long or was cancelled.
@@ -56,7 +65,7 @@ class ProjectReader:
             with self._lock:
                 if self._ended:
                     raise _cancelled(folder)
-                process, connection = spawned(_serve, folder)
+                process, connection = spawned(_serve, folder, files)
                 self._process = process
         except OSError as error:
             raise InputError(
@@ -135,7 +144,11 @@ def check_document(document: Document) -> None:
             check_mask(entry.mask_png, photo.width, photo.height)
 
 
-def read_all(folder: Path, on_part: Callable[[str], None]) -> CheckedProject:
+def read_all(
+    folder: Path,
+    on_part: Callable[[str], None],
+    files: Mapping[str, SourceFile] | None = None,
+) -> CheckedProject:
     """Reads all that the app reads when it opens a project, in this process.
 
     Raises:
@@ -146,6 +159,7 @@ def read_all(folder: Path, on_part: Callable[[str], None]) -> CheckedProject:
         DOCUMENT_TYPES,
         Document,
         {"run": Run, "runs": RUNS_TYPE},
+        files=files,
         on_part=on_part,
     )
     for step in checked.steps:
@@ -153,13 +167,15 @@ def read_all(folder: Path, on_part: Callable[[str], None]) -> CheckedProject:
     return checked
 
 
-def _serve(connection: Connection, folder: Path) -> None:
+def _serve(
+    connection: Connection, folder: Path, files: Mapping[str, SourceFile] | None
+) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     _limit_memory()
     event: Event
     try:
         # What it consists of is decoded again there; photos and meshes are not.
-        event = dataclasses.replace(read_all(folder, connection.send), steps=())
+        event = dataclasses.replace(read_all(folder, connection.send, files), steps=())
     except PhotoregError as error:
         event = Failed("read", " ".join(str(error).split()))
     except MemoryError:

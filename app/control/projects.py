@@ -3,13 +3,14 @@
 import contextlib
 import logging
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from app.control import user_data
 from app.control.autosave import DOCUMENT_TYPES, PATIENCE_S, RUNS_TYPE, Autosave
 from app.control.project_reading import ProjectReader, check_document
 from app.model.run import Run
+from app.model.scene_files import first_names
 from app.model.session import Session, setting
 from app.model.state import Document, Job
 from photoreg.errors import InputError, OutputError, PhotoregError, RefinementError
@@ -17,6 +18,7 @@ from photoreg.project.check import CheckedProject
 from photoreg.project.files import FileProblem
 from photoreg.project.folder import KEPT, check_is_free, holds_project
 from photoreg.project.project import Project
+from photoreg.sources import SourceFile
 
 log = logging.getLogger(__name__)
 
@@ -24,6 +26,10 @@ NOT_KEPT = "Your work is not being kept."
 OLD_COPY = "Brought up to date; as it was before, it is kept as %s."
 MAX_NAMED = 3
 """How many files are named that are not the project's."""
+
+
+Read = Callable[[Path, Callable[[str], None], Mapping[str, SourceFile]], CheckedProject]
+"""Reads a project, see `ProjectReader.read`."""
 
 
 class Projects:
@@ -38,7 +44,7 @@ class Projects:
     def __init__(
         self,
         session: Session,
-        read: Callable[[Path, Callable[[str], None]], CheckedProject] | None = None,
+        read: Read | None = None,
     ) -> None:
         self._session = session
         self._reader = ProjectReader()
@@ -105,7 +111,7 @@ class Projects:
         title = f"Opening {folder.name}"
         with self._changing(title, can_stop=True) as show:
             self._drop_pending()
-            checked = self._read(folder, lambda part: show(f"{title}: {part}"))
+            checked = self._read(folder, lambda part: show(f"{title}: {part}"), {})
             show(title)
             project = Project(
                 folder, DOCUMENT_TYPES, create=False, loaded=checked.loaded
@@ -137,7 +143,8 @@ class Projects:
         """
         path = self.found_at(problem, path)
         project = self._waiting()
-        with self._changing(f"Opening {project.folder.name}"):
+        title = f"Opening {project.folder.name}"
+        with self._changing(title, can_stop=True) as show:
             with project.writing():
                 project.files.use(problem.key, path, changed)
                 for other in project.file_problems():
@@ -145,12 +152,25 @@ class Projects:
                     with contextlib.suppress(InputError):
                         project.files.use(other.key, beside)
                 problems = project.file_problems()
-                document = None if problems else _read(project)
+                document = None if problems else self._read_moved(project, show)
+                show(title)
             self.problems = problems
             if not problems:
                 self._take_up(project)
                 self.pending = None
             del document
+
+    def _read_moved(
+        self, project: Project, show: Callable[[str], None]
+    ) -> Document | None:
+        """The document of a project whose files were found, read like any other first."""
+        files = {key: project.files.find(key) for key in project.files}
+        title = f"Opening {project.folder.name}"
+        checked = self._read(
+            project.folder, lambda part: show(f"{title}: {part}"), files
+        )
+        project.take(checked.loaded)
+        return _read(project)
 
     def locate_upload(self, problem: FileProblem, name: str, content: bytes) -> Path:
         """Keeps a file that somebody brings for one that is missing; returns its path."""
@@ -216,7 +236,7 @@ class Projects:
                 autosave.project.gather()
             if missing:
                 self._tell(
-                    f"Saved, but for {_listing(missing)}: not there to be copied any "
+                    f"Saved, but for {_names(missing)}: not there to be copied any "
                     "more. When the copy is opened again, it asks for them."
                 )
 
@@ -313,7 +333,7 @@ class Projects:
                 log.warning("%s was not tidied up: %s", project.folder, error)
             if project.foreign:
                 self._tell(
-                    f"In {project.folder.name}/{KEPT}: {_listing(project.foreign)}. "
+                    f"In {project.folder.name}/{KEPT}: {_names(project.foreign)}. "
                     "photoreg does not know that it made that, so it stays."
                 )
             self._autosave = autosave
@@ -386,11 +406,8 @@ def _leave(project: Project) -> None:
             mark.unlink()
 
 
-def _listing(paths: Sequence[Path]) -> str:
-    """Names of files, of many the first ones."""
-    names = ", ".join(path.name for path in paths[:MAX_NAMED])
-    more = len(paths) - MAX_NAMED
-    return f"{names} and {more} more" if more > 0 else names
+def _names(paths: Sequence[Path]) -> str:
+    return first_names((path.name for path in paths), MAX_NAMED)
 
 
 def _is_untouched(project: Project) -> bool:

@@ -36,10 +36,9 @@ class RunControl:
             document = state.document
             if document.mesh is None:
                 raise RefinementError("There is no mesh yet. Load one in the Data tab.")
-            if len(document.used) < 2:
+            if not document.used:
                 raise RefinementError(
-                    f"Two photos at least are needed, but {len(document.used)} "
-                    "is in use. Add one in the Data tab."
+                    "No photo is in use. Add one, or tick one, in the Data tab."
                 )
             cameras = document.used_cameras
             run = Run(
@@ -95,14 +94,14 @@ class RunControl:
         assert run.config is not None
         self._worker.send(
             Refine(
-                run.start,
-                run.config,
-                wanted_view(state),
-                state.document.true_cameras(run.photo_names),
-                run.freedom,
-                run.number,
-                state.kept_search,
-                run.curve[-1].best if run.curve else 1.0,
+                cameras=run.start,
+                config=run.config,
+                view=wanted_view(state),
+                truth=state.document.true_cameras(run.photo_names),
+                freedom=run.freedom,
+                number=run.number,
+                kept=state.kept_search,
+                level=run.curve[-1].best if run.curve else 1.0,
             )
         )
 

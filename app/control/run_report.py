@@ -30,7 +30,7 @@ def report_html(state: State, compared: Compared) -> str:
         for name in ("compare.html", "compare.js")
     )
     pictures = "".join(
-        f"<h3>{escaped(photo.carried)} carried over the surface onto "
+        f"<h3>{escaped(photo.carried)} projected onto "
         f"{escaped(photo.name)}</h3>" + comparison_html(photo, left)
         for photo in compared.photos
     )
@@ -108,7 +108,8 @@ def _cameras(run: Run) -> str:
     rows = []
     for name, start, now in zip(run.photo_names, run.start, run.cameras, strict=True):
         for when, camera in (("before", start), ("now", now)):
-            x, y, z = (f"{value:.6g}" for value in camera.center)
+            # Survey coordinates have seven digits before the point.
+            x, y, z = (f"{value:.10g}" for value in camera.center)
             rows.append(
                 (
                     f"{name}, {when}",

@@ -6,16 +6,17 @@ import json
 import logging
 import logging.handlers
 import os
-import sys
 import tempfile
 from pathlib import Path
 from typing import IO
 
+from platformdirs import user_data_path
+
 from app.model.state import Document
 from photoreg.errors import InputError
 from photoreg.project.files import plain_name
-from photoreg.project.folder import DATABASE, identity, look, open_regular
-from photoreg.sources import read_regular
+from photoreg.project.folder import DATABASE, identity, look
+from photoreg.sources import open_regular, read_regular
 
 MAX_RECENT = 12
 LOG_FILE = "photoreg.log"
@@ -36,15 +37,7 @@ def data_folder() -> Path:
     The environment variable PHOTOREG_DATA names another.
     """
     given = os.environ.get("PHOTOREG_DATA")
-    if given:
-        return Path(given)
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Application Support"
-    else:
-        base = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
-    return Path(base) / "photoreg"
+    return Path(given) if given else user_data_path("photoreg", appauthor=False)
 
 
 def projects_folder() -> Path:
@@ -137,7 +130,9 @@ class ProjectLog(logging.handlers.RotatingFileHandler):
             raise OSError(f"{self.baseFilename} has another name elsewhere")
         flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND
         return os.fdopen(
-            open_regular(self.baseFilename, flags), "a", encoding=self.encoding
+            open_regular(self.baseFilename, flags, follow_link=False),
+            "a",
+            encoding=self.encoding,
         )
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802

@@ -1,12 +1,16 @@
 """How well the photos agree, quickly enough to be told while a camera is dragged."""
 
+import dataclasses
 from collections.abc import Sequence
+
+import numpy as np
 
 from app.model.state import Agreement
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.sampling import sample_surface
 from photoreg.geometry.visibility import visible
+from photoreg.geometry.winding import facing_cameras
 from photoreg.imaging.photo import Photo
 from photoreg.search.photo_consistency import ConsistencyConfig, PhotoConsistency
 
@@ -38,6 +42,8 @@ class AgreementMeter:
     def agreement(self, cameras: Sequence[Camera]) -> Agreement:
         """How well the photos agree on the points that two or more of them see."""
         seen = visible(self._samples, cameras, self._mesh, "rays", MIN_COSINE)
+        if not seen.any():
+            seen = self._seen_if_turned(cameras)
         counts = seen.sum(axis=0)
         n_common, n_seen = int((counts >= 2).sum()), int((counts >= 1).sum())
         share = n_common / n_seen if n_seen else 0.0
@@ -46,3 +52,11 @@ class AgreementMeter:
         self._consistency.allow(seen)
         cost, chance = self._consistency.cost_and_chance(cameras)
         return Agreement(cost, chance, share)
+
+    def _seen_if_turned(self, cameras: Sequence[Camera]) -> np.ndarray:
+        """Which points are seen of a mesh that turns its backs to the cameras."""
+        mesh = facing_cameras(self._mesh, cameras)
+        turned = (mesh.faces != self._mesh.faces).any(axis=1)[self._samples.face_index]
+        normals = np.where(turned[:, None], -1.0, 1.0) * self._samples.normals
+        samples = dataclasses.replace(self._samples, normals=normals)
+        return visible(samples, cameras, mesh, "rays", MIN_COSINE)

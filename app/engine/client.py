@@ -5,14 +5,17 @@ parallel kernels, and viser calls back from 32 threads; so cameras are refined a
 baked in one spawned process, and the page stays quick.
 """
 
+import contextlib
 import dataclasses
 import logging
 import queue
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 
-from app.engine.spawn import PATIENCE_S, spawned
+from app.engine.spawn import PATIENCE_S, end, spawned
 from app.model.messages import Died, Event, Job, Live, Passing, Pause, Resume, Stop
 
 log = logging.getLogger(__name__)
@@ -34,13 +37,12 @@ class Worker:
         self._lock = threading.Lock()
         self._closed = False
         self._deaths_in_a_row = 0
-        self._jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
         self._start()
 
     @property
     def pid(self) -> int | None:
-        """The process's id."""
-        return self._process.pid
+        """The process's id; waits until it is started."""
+        return self._process.result().pid
 
     def send(self, *jobs: Job) -> None:
         """Queues jobs; returns at once, however busy the process is."""
@@ -68,29 +70,50 @@ class Worker:
             self._closed = True
             self._jobs.put(None)
             process, pump = self._process, self._pump
-        process.terminate()
-        process.join(timeout=PATIENCE_S)
-        if process.is_alive():
-            process.kill()
-            process.join()
+        with contextlib.suppress(OSError):
+            end(process.result())
         if pump is not threading.current_thread():
             pump.join(timeout=PATIENCE_S)
 
     def _start(self) -> None:
-        process, ours = spawned(_enter, self._warm_up)
-        jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
-        self._process, self._jobs = process, jobs
-        sender = threading.Thread(
-            target=self._send_jobs, args=(ours, jobs), daemon=True, name="worker jobs"
-        )
+        """Has a process started, on a thread: that may take two seconds."""
+        self._jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
+        self._process: Future[BaseProcess] = Future()
         self._pump = threading.Thread(
-            target=self._pump_events,
-            args=(ours, jobs, sender),
+            target=self._run,
+            args=(self._process, self._jobs),
             daemon=True,
             name="worker events",
         )
-        sender.start()
         self._pump.start()
+
+    def _run(
+        self, started: "Future[BaseProcess]", jobs: queue.SimpleQueue[Job | None]
+    ) -> None:
+        """One life of the process."""
+        try:
+            process, connection = spawned(_enter, self._warm_up)
+        except OSError as error:
+            log.exception("The worker process could not be started")
+            started.set_exception(error)
+            self._succeed(None)
+            return
+        started.set_result(process)
+        sender = threading.Thread(
+            target=self._send_jobs,
+            args=(connection, jobs),
+            daemon=True,
+            name="worker jobs",
+        )
+        sender.start()
+        self._pump_events(connection)
+        # Closed when nobody uses it any more: the next pipe may get the same number,
+        # and the rest of a job would go to the new process.
+        jobs.put(None)
+        sender.join(timeout=PATIENCE_S)
+        connection.close()
+        process.join(timeout=PATIENCE_S)
+        self._succeed(process.exitcode)
 
     def _send_jobs(
         self, connection: Connection, jobs: queue.SimpleQueue[Job | None]
@@ -102,28 +125,18 @@ class Worker:
             except OSError:
                 return  # The process is gone.
 
-    def _pump_events(
-        self,
-        connection: Connection,
-        jobs: queue.SimpleQueue[Job | None],
-        sender: threading.Thread,
-    ) -> None:
+    def _pump_events(self, connection: Connection) -> None:
+        """Reports what arrives until the pipe ends."""
         while True:
             try:
                 events = [connection.recv()]
                 while connection.poll(0):
                     events.append(connection.recv())
             except (EOFError, OSError):
-                break
+                return
             self._deaths_in_a_row = 0
             for event in newest(events):
                 self._report(event)
-        # Closed when nobody uses it any more: the next pipe may get the same number,
-        # and the rest of a job would go to the new process.
-        jobs.put(None)
-        sender.join(timeout=PATIENCE_S)
-        connection.close()
-        self._bury()
 
     def _report(self, event: Event) -> None:
         if self._closed:
@@ -133,13 +146,12 @@ class Worker:
         except Exception:
             log.exception("%s was not handled", type(event).__name__)
 
-    def _bury(self) -> None:
-        self._process.join(timeout=PATIENCE_S)
+    def _succeed(self, exit_code: int | None) -> None:
+        """Starts the next process after one that died."""
         with self._lock:
             if self._closed:
                 return
             self._deaths_in_a_row += 1
-            exit_code = self._process.exitcode
             if self._deaths_in_a_row <= MAX_QUICK_DEATHS:
                 self._start()
         self._report(Died(exit_code))

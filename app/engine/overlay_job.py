@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 
-import cv2
 import numpy as np
 
 from app.engine.surface_job import LiveSurface
@@ -20,6 +19,7 @@ from app.model.state import Surface, same_camera
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.projection_error import Truth
+from photoreg.imaging.encoding import encode_jpeg
 from photoreg.imaging.photo import Photo
 from photoreg.overlay.disagreement_map import disagreement_picture, mean_disagreement
 from photoreg.overlay.pictures import AlignedPair, LiveOverlay, compose, swipe
@@ -99,22 +99,22 @@ class Drawing:
         if self._pair is None or not self._pair.is_of(onto, quick, cameras):
             # A slider of the overlay's asks for the same pair again and again; of a
             # search the best stays for one generation in two, or three.
-            carried = (onto + 1) % len(cameras)
-            draw = overlay.quick_pair if quick else overlay.pair
-            self._pair = _Drawn(onto, quick, cameras, draw(cameras, onto, carried))
+            self._pair = _Drawn(
+                onto, quick, cameras, self._aligned_pair(cameras, onto, quick)
+            )
         pair = self._pair.pair
         other = normals = lines = None
         if view.style == "blink":
-            jpeg = encode_jpeg(pair.base)
-            other = encode_jpeg(compose(pair, "carried"))
+            jpeg = _jpeg(pair.base)
+            other = _jpeg(compose(pair, "carried"))
         else:
             picture = compose(pair, view.style, view.share)
             if start is not None and view.start_line is not None:
                 before = self._start_picture(start, view, onto)
                 picture = swipe(before, picture, view.start_line)
-            jpeg = encode_jpeg(picture)
+            jpeg = _jpeg(picture)
         if view.through == "normals":
-            normals = encode_jpeg(
+            normals = _jpeg(
                 shaded_normals(
                     overlay.mesh, overlay.photos[onto], cameras[onto], view.mesh_opacity
                 )
@@ -137,11 +137,21 @@ class Drawing:
     ) -> np.ndarray:
         key = (onto, view.style, view.share, tuple(map(id, start)))
         if self._start is None or self._start[0] != key:
-            pair = self._overlay.pair(start, onto, (onto + 1) % len(start))
+            pair = self._aligned_pair(start, onto)
             picture = compose(pair, "blend" if view.style == "blink" else view.style)
             self._start = (key, picture)
             self._start_cameras = start  # Ids of living objects do not repeat.
         return self._start[1]
+
+    def _aligned_pair(
+        self, cameras: tuple[Camera, ...], onto: int, quick: bool = False
+    ) -> AlignedPair:
+        """The next photo carried over into one; of a single photo the surface."""
+        if len(cameras) == 1:
+            return self._overlay.shape_pair(cameras, onto)
+        carried = (onto + 1) % len(cameras)
+        draw = self._overlay.quick_pair if quick else self._overlay.pair
+        return draw(cameras, onto, carried)
 
     def surface(self, cameras: tuple[Camera, ...], surface: Surface) -> SurfaceDrawn:
         """The object with photos or heat map laid on."""
@@ -161,28 +171,31 @@ class Drawing:
         """Two sets of cameras beside each other, in every photo."""
         overlay, photos = self._overlay, []
         mode = "carried" if job.style in ("blink", "swipe") else job.style
+        if len(overlay.photos) == 1 and mode == "carried":
+            # The surface alone would not show how the photo lies on it.
+            mode = "blend"
         for onto, photo in enumerate(overlay.photos):
-            carried = (onto + 1) % len(overlay.photos)
-            before = overlay.pair(job.before, onto, carried)
-            after = overlay.pair(job.after, onto, carried)
+            before = self._aligned_pair(job.before, onto)
+            after = self._aligned_pair(job.after, onto)
+            has_other = len(overlay.photos) > 1
             photos.append(
                 PhotoComparison(
-                    photo.name,
-                    overlay.photos[carried].name,
-                    encode_jpeg(compose(before, mode)),
-                    encode_jpeg(compose(after, mode)),
-                    encode_jpeg(disagreement_picture(before)),
-                    encode_jpeg(disagreement_picture(after)),
-                    mean_disagreement(before),
-                    mean_disagreement(after),
+                    name=photo.name,
+                    carried=overlay.photos[(onto + 1) % len(overlay.photos)].name,
+                    before=_jpeg(compose(before, mode)),
+                    after=_jpeg(compose(after, mode)),
+                    disagreement_before=_heat(before) if has_other else b"",
+                    disagreement_after=_heat(after) if has_other else b"",
+                    levels_before=mean_disagreement(before) if has_other else None,
+                    levels_after=mean_disagreement(after) if has_other else None,
                 )
             )
         return Compared(job.before, job.after, job.style, tuple(photos))
 
 
-def encode_jpeg(picture: np.ndarray) -> bytes:
-    """A picture (h, w, 3) in sRGB bytes as a JPEG file."""
-    bgr = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
-    done, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-    assert done
-    return data.tobytes()
+def _heat(pair: AlignedPair) -> bytes:
+    return _jpeg(disagreement_picture(pair))
+
+
+def _jpeg(picture: np.ndarray) -> bytes:
+    return encode_jpeg(picture, JPEG_QUALITY)

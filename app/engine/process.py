@@ -188,6 +188,8 @@ class WorkerProcess:
         return self._drawing
 
     def _measure(self, cameras: tuple[Camera, ...]) -> None:
+        if len(self._photos) < 2:
+            return  # There is nothing to compare one photo with.
         if self._agreement_meter is None:
             self._agreement_meter = AgreementMeter(self._scene_mesh(), self._photos)
         self._send(Measured(self._agreement_meter.agreement(cameras)))

@@ -15,7 +15,15 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from app.engine.spawn import PATIENCE_S, spawned
-from app.model.file_kinds import CAMERAS, MESH, PHOTO, is_zip, kind_of
+from app.model.file_kinds import (
+    CAMERAS,
+    MATERIAL,
+    MESH,
+    PHOTO,
+    UNREAD,
+    is_zip,
+    kind_of,
+)
 from app.model.messages import (
     CamerasLoaded,
     Failed,
@@ -26,12 +34,14 @@ from app.model.messages import (
     ReadingEvent,
     Unpacked,
 )
-from app.model.scene_files import DISPLAY_FACES
+from app.model.scene_files import DISPLAY_FACES, first_names
 from photoreg.errors import PhotoregError
 from photoreg.formats.archives import unzipped
 from photoreg.formats.cameras.find import find_cameras
 from photoreg.formats.cameras.meshlab import PADDED
 from photoreg.formats.cameras.registry import format_to_read, read_cameras
+from photoreg.formats.foreign import what_to_do
+from photoreg.formats.meshes.packed import PACKED_SUFFIX, belonging, pack
 from photoreg.formats.meshes.read import load_mesh
 from photoreg.formats.photos.read import load_photo
 
@@ -39,6 +49,12 @@ log = logging.getLogger(__name__)
 
 PARSED = 0.6
 """Share of a mesh's time after which its file is read; the rest thins it for display."""
+
+MAX_TOLD = 5
+"""Files in zips of which it is told by name that they were left out."""
+
+OF_SYSTEMS = ("thumbs.db", "desktop.ini")
+"""What Windows puts beside files, in lower case; macOS's and Linux's begin with a dot."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,8 +71,14 @@ class ReadRequest:
 
 @dataclasses.dataclass(frozen=True)
 class UnpackRequest:
-    """Zips, out of which come cameras, and the mesh and photos that are not there."""
+    """Zips, out of which come cameras, and the mesh and photos that are not there.
 
+    A mesh becomes one file with the materials and pictures that it names, whether they
+    came in a zip or beside one; these pictures are no photos.
+    """
+
+    loose: tuple[Path, ...]
+    """Files that came beside the zips."""
     archives: tuple[Path, ...]
     folder: Path
     """Where they go."""
@@ -66,12 +88,14 @@ class UnpackRequest:
 
     def wants(self, name: str) -> bool:
         """Whether a file comes out of its zip."""
+        if name.startswith("."):
+            return False  # What systems put beside files: macOS's ._photo.jpg.
         kind = kind_of(Path(name))
         if kind == PHOTO:
             # MeshLab's padded copies are of photos that have another name.
             return name not in self.known and PADDED.fullmatch(name) is None
-        is_of_cameras = kind == CAMERAS and not is_zip(Path(name))
-        return is_of_cameras or (kind == MESH and not self.has_mesh)
+        # A mesh also where there is one: pictures that it names are no photos.
+        return kind in (MESH, MATERIAL) or (kind == CAMERAS and not is_zip(Path(name)))
 
 
 class Reader:
@@ -187,14 +211,56 @@ def _read(wanted: ReadRequest) -> Iterator[ReadingEvent]:
 
 
 def _unpack(packed: UnpackRequest) -> Iterator[ReadingEvent]:
+    found = list(packed.loose)
+    left_out: list[str] = []
+    unread: list[str] = []
+
+    def wants(name: str) -> bool:
+        path = Path(name)
+        if not (name.startswith(".") or name.casefold() in OF_SYSTEMS):
+            why = what_to_do(path)
+            if why and len(left_out) < MAX_TOLD:
+                left_out.append(f"{name} was left out: {why}.")
+            elif why or kind_of(path) == UNREAD or is_zip(path):
+                unread.append(name)
+        return packed.wants(name)
+
     for i, archive in enumerate(packed.archives):
         yield Reading(f"Unpacking {archive.name}", i / len(packed.archives))
         folder = packed.folder / archive.stem
         with _failures(f"Unpacking {archive.name}") as failures:
-            yield Unpacked(tuple(unzipped(archive, folder, packed.wants)))
+            found += unzipped(archive, folder, wants)
             archive.unlink()
         yield from failures
+    with _failures("Reading the mesh") as failures:
+        wanted = packed.loose if packed.has_mesh else tuple(found)
+        paths = _packed_together(found, wanted, packed.folder)
+        if unread:
+            names = first_names(unread, MAX_TOLD)
+            left_out.append(f"Left out, as photoreg opens no such files: {names}.")
+        yield Unpacked(tuple(paths), tuple(left_out))
+    yield from failures
     yield ReadAll(complete=True)
+
+
+def _packed_together(
+    paths: list[Path], wanted: tuple[Path, ...], folder: Path
+) -> list[Path]:
+    """The files, each mesh as one with those among them that it names.
+
+    Meshes that are not ``wanted`` go, with what belongs to them.
+    """
+    for mesh in [path for path in paths if kind_of(path) == MESH]:
+        others = [path for path in paths if kind_of(path) in (PHOTO, MATERIAL)]
+        beside = belonging(mesh, others)
+        if mesh not in wanted:
+            paths = [path for path in paths if path not in (mesh, *beside)]
+        elif beside:
+            target = folder / "packed" / f"{mesh.name}{PACKED_SUFFIX}"
+            target.parent.mkdir(exist_ok=True)
+            pack(mesh, beside, target)
+            paths = [path for path in paths if path not in (mesh, *beside)] + [target]
+    return paths
 
 
 @contextlib.contextmanager

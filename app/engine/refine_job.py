@@ -91,7 +91,7 @@ class Preparation:
 
 
 def _is_identical(a: Camera, b: Camera) -> bool:
-    return (a.width, a.height) == (b.width, b.height) and all(
+    return (a.width, a.height, a.lens) == (b.width, b.height, b.lens) and all(
         np.array_equal(x, y)
         for x, y in (
             (a.K, b.K),

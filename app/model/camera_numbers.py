@@ -37,8 +37,21 @@ def view_angle_deg(camera: Camera) -> float:
 
 
 def focal_of_film(camera: Camera, mm: float) -> float:
-    """Focal length in pixels of one on 35 mm film."""
-    return mm * _diagonal(camera) / FILM_DIAGONAL_MM
+    """Focal length in pixels of one on 35 mm film.
+
+    Raises:
+        InputError: for one that no photo has.
+    """
+    per_px = FILM_DIAGONAL_MM / _diagonal(camera)
+    low, high = (
+        share * max(camera.width, camera.height) * per_px for share in FOCAL_RANGE
+    )
+    if not low <= mm <= high:
+        raise InputError(
+            f"A focal length on 35 mm film should be {low:.1f} to {high:,.0f} mm for this "
+            f"photo, but is {mm:g}."
+        )
+    return mm / per_px
 
 
 def focal_of_angle(camera: Camera, degrees: float) -> float:
@@ -168,8 +181,8 @@ def stepped_aside(
 ) -> Camera:
     """Where ``first`` stands, ``steps`` times 20 degrees around ``anchor``.
 
-    The photo's own size and principal point stay; its field of view becomes the first's
-    if it is as large.
+    The photo's own size and principal point stay; its field of view and lens become the
+    first's if it is as large.
     """
     axis = np.asarray(up, dtype=np.float64) / np.linalg.norm(up)
     turn = Rotation.from_rotvec(np.radians(STEP_ASIDE_DEG * steps) * axis).as_matrix()
@@ -180,6 +193,7 @@ def stepped_aside(
         K=first.K if same else camera.K,
         R_cam_world=stands.R_cam_world,
         t_cam_world=stands.t_cam_world,
+        lens=first.lens if same else camera.lens,
     )
 
 

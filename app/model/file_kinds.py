@@ -2,19 +2,23 @@
 
 from pathlib import Path
 
-from photoreg.formats.cameras.find import CAMERA_SUFFIXES
+from photoreg.formats.cameras.registry import CAMERA_SUFFIXES
+from photoreg.formats.meshes.packed import PACKED_SUFFIX
 from photoreg.formats.meshes.read import MESH_SUFFIXES
 from photoreg.formats.photos.registry import PHOTO_SUFFIXES
 
-MESH, PHOTO, CAMERAS = range(3)
-KINDS = (MESH_SUFFIXES, PHOTO_SUFFIXES, (*CAMERA_SUFFIXES, ".zip"))
-"""In the order in which they are opened: cameras are matched to photos that are there."""
+MESH, PHOTO, CAMERAS, MATERIAL, UNREAD = range(5)
+KINDS = (MESH_SUFFIXES, PHOTO_SUFFIXES, (*CAMERA_SUFFIXES, ".zip"), (".mtl",))
+"""In the order in which they are opened: cameras are matched to photos that are there.
+Materials are no files by themselves, but belong to a mesh."""
 
 
 def kind_of(path: Path) -> int:
-    """The place in ``KINDS``; their number if it is none of them."""
+    """The place in ``KINDS``; ``UNREAD`` if it is none of them."""
     suffix = path.suffix.lower()
-    return next((i for i, kind in enumerate(KINDS) if suffix in kind), len(KINDS))
+    if suffix == PACKED_SUFFIX:
+        return MESH
+    return next((i for i, kind in enumerate(KINDS) if suffix in kind), UNREAD)
 
 
 def is_zip(path: Path) -> bool:

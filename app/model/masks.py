@@ -15,6 +15,7 @@ from PIL import Image
 
 from photoreg.errors import InputError
 from photoreg.formats.photos.registry import JPEG, PNG, TIFF, WEBP
+from photoreg.imaging.encoding import encode
 from photoreg.sources import read_regular
 
 MASK_FORMATS = (PNG, JPEG, TIFF, WEBP)
@@ -30,13 +31,11 @@ def encode_mask(mask: np.ndarray) -> bytes | None:
     """A mask (h, w), True where the photo counts, as PNG; None if that is everywhere."""
     if mask.all():
         return None
-    done, data = cv2.imencode(
-        ".png",
+    return encode(
         np.where(mask, np.uint8(255), np.uint8(0)),
-        [cv2.IMWRITE_PNG_BILEVEL, 1, cv2.IMWRITE_PNG_COMPRESSION, 1],
+        ".png",
+        (cv2.IMWRITE_PNG_BILEVEL, 1, cv2.IMWRITE_PNG_COMPRESSION, 1),
     )
-    assert done
-    return data.tobytes()
 
 
 def decode_mask(png: bytes) -> np.ndarray:

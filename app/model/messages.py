@@ -53,7 +53,7 @@ class SetMask:
     """See ``app.model.masks``; None: the photo counts everywhere."""
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class OverlayView:
     """How the overlay picture is drawn."""
 
@@ -81,7 +81,7 @@ class DrawOverlay:
     truth: tuple[Camera, ...] | None
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Refine:
     """Refine these cameras of the scene's photos."""
 
@@ -173,9 +173,12 @@ class Reading:
 
 @dataclasses.dataclass(frozen=True)
 class Unpacked:
-    """Files have come out of a zip."""
+    """Zips are unpacked, and each mesh is one file with what belongs to it."""
 
     paths: tuple[Path, ...]
+    """What is to be read."""
+    left_out: tuple[str, ...] = ()
+    """A sentence for each file that is of a kind that is not read."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -276,7 +279,7 @@ class SurfaceDrawn:
     glb: bytes
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class PhotoComparison:
     """Before and after in one photo; all pictures are JPEG files."""
 
@@ -286,6 +289,7 @@ class PhotoComparison:
     before: bytes
     after: bytes
     disagreement_before: bytes
+    """Empty, as the next, where there is no other photo."""
     disagreement_after: bytes
     levels_before: float | None
     """Mean disagreement in grey levels of 255; None where nothing is shared."""

@@ -47,6 +47,11 @@ def enabled(name: str, on: bool) -> Change:
     return lambda state: with_entry(index_of_photo(state, name), enabled=on)(state)
 
 
+def cropped(name: str, on: bool) -> Change:
+    """Whether a part of a photo was cut off after it was taken."""
+    return lambda state: with_entry(index_of_photo(state, name), cropped=on)(state)
+
+
 def removed(name: str) -> Change:
     """A photo leaves the list; its file stays."""
     return lambda state: with_photo_removed(index_of_photo(state, name))(state)

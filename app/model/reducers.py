@@ -18,6 +18,7 @@ from app.model.messages import (
 from app.model.run import CurvePoint, Run
 from app.model.scene_files import first_names, with_cameras_of_file
 from app.model.state import Document, Job, State, same_camera
+from app.model.up_axis import guessed_up
 from photoreg.geometry.camera import Camera
 
 MAX_CURVE_POINTS = 600
@@ -27,16 +28,17 @@ MAX_CURVE_POINTS = 600
 def with_mesh(state: State, event: MeshLoaded) -> State:
     """A new mesh; cameras are placed anew, the old ones were for another object."""
     document = state.document
+    up, _ = guessed_up(event.display_mesh)
     placed: list[Camera] = []
     for entry in document.photos:
-        placed.append(first_camera(event.mesh, entry.photo, (0, 1, 0), tuple(placed)))
+        placed.append(first_camera(event.mesh, entry.photo, up, tuple(placed)))
     photos = tuple(
         dataclasses.replace(entry, camera=camera)
         for entry, camera in zip(document.photos, placed, strict=True)
     )
     return dataclasses.replace(
         state,
-        document=Document(event.mesh, event.display_mesh, photos),
+        document=Document(event.mesh, event.display_mesh, photos, up=up),
         texture=None,
         note=" ".join([f"{event.mesh.name} is loaded.", *event.mesh.notes]),
     )
@@ -163,6 +165,10 @@ def ended(state: State, event: Refined) -> State:
         state = dataclasses.replace(state, kept_search=None)
         verdict = finished.verdict
         sentence = "" if verdict is None else verdict.sentence
+        mesh, mesh_error = state.document.mesh, finished.mesh_error
+        told = ()
+        if mesh is not None and mesh_error is not None:
+            told = (mesh_error.in_words(mesh.diagonal),)
         run = dataclasses.replace(
             run,
             outcome=finished.reason,
@@ -175,7 +181,7 @@ def ended(state: State, event: Refined) -> State:
             evaluations=finished.evaluations,
             generation=finished.generations,
             expected_errors_px=tuple(finished.expected_errors_px),
-            standard_errors=tuple(finished.standard_errors),
+            standard_errors=(*finished.standard_errors, *told),
             undetermined=tuple(finished.undetermined),
         )
     return kept(state, run)

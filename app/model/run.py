@@ -18,7 +18,7 @@ PRESET_NAMES: dict[PresetName, str] = {
     "fast": "Quick",
     "default": "Standard",
     "thorough": "Thorough",
-    "paper": "As in the paper",
+    "paper": "Paper's method (for comparison)",
 }
 """What the presets are called on the page, the quickest first."""
 
@@ -55,7 +55,7 @@ class KeptSearch:
     """A ``photoreg.registration.checkpoint.Checkpoint`` as bytes."""
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Run:
     """A refinement: running, or ended and waiting to be accepted or reverted."""
 
@@ -106,7 +106,7 @@ class Run:
     """How it ended, in words."""
     warnings: tuple[str, ...] = ()
     standard_errors: tuple[str, ...] = ()
-    """How sure each camera is, one sentence a photo."""
+    """How sure each camera is, one sentence a photo, and how wrong the scan seems."""
     undetermined: tuple[str, ...] = ()
     """What the photos leave open, the weakest first."""
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from app.model.camera_moves import first_camera, up_of
 from app.model.state import Document, PhotoEntry
+from app.model.up_axis import guessed_up
 from photoreg.errors import InputError
 from photoreg.formats.cameras.cameras_json import CameraFile, load_cameras
 from photoreg.formats.cameras.registry import read_cameras
@@ -81,8 +82,9 @@ def open_files(paths: Sequence[Path], cameras: Path | None = None) -> Document:
                     "Join the meshes first."
                 )
             mesh = load_mesh(path)
+            shown = mesh.decimated(DISPLAY_FACES)
             document = dataclasses.replace(
-                document, mesh=mesh, display_mesh=mesh.decimated(DISPLAY_FACES)
+                document, mesh=mesh, display_mesh=shown, up=guessed_up(shown)[0]
             )
         elif suffix in PHOTO_SUFFIXES:
             photos.append(path)
@@ -158,7 +160,7 @@ def with_cameras_of_file(document: Document, file: CameraFile, name: str) -> Doc
             dataclasses.replace(entry, camera=found.get(entry.name, entry.camera))
             for entry in document.photos
         ),
-        up=up_of(tuple(cameras)) or document.up,
+        up=(document.up_axis == "auto" and up_of(tuple(cameras))) or document.up,
     )
 
 

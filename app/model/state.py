@@ -20,6 +20,7 @@ from photoreg.imaging.photo import Photo
 from photoreg.parameters.freedom import Freedom
 from photoreg.registration.config import PresetName, RegistrationConfig
 from photoreg.registration.readiness import Readiness
+from photoreg.registration.verdict import Grade
 from photoreg.search.box_reach import BoxReach
 from photoreg.texture.blend import TextureConfig
 
@@ -33,7 +34,8 @@ ThroughStyle = Literal["surface", "wireframe", "lines", "normals", "photo"]
 """What lies over a photo that is looked through: the mesh, drawn in one of four ways,
 or another photo, in the overlay style."""
 GizmoKind = Literal["move", "orbit"]
-HeldPart = Literal["pose", "focal", "principal_point"]
+UpAxis = Literal["auto", "y", "z"]
+HeldPart = Literal["pose", "focal", "principal_point", "lens"]
 Surface = Literal["clay", "photos", "disagreement"]
 
 
@@ -41,7 +43,7 @@ def same_camera(a: Camera, b: Camera) -> bool:
     """Whether two cameras are equal to rounding."""
     if a is b:
         return True
-    if (a.width, a.height) != (b.width, b.height):
+    if (a.width, a.height, a.lens) != (b.width, b.height, b.lens):
         return False
     scale = max(float(np.abs(a.t_cam_world).max()), 1e-300)
     return (
@@ -83,6 +85,8 @@ class PhotoEntry:
     """Points clicked in the photo and on the surface, by rising number."""
     mask_png: bytes | None = None
     """Where the photo counts, as ``app.model.masks`` encodes it; None: everywhere."""
+    cropped: bool | None = None
+    """Whether a part of the photo was cut off; None: as its EXIF tells."""
 
     def __post_init__(self) -> None:
         if self.photo.mask is not None:
@@ -96,6 +100,11 @@ class PhotoEntry:
     def name(self) -> str:
         """The photo's file name, unique within the document."""
         return self.photo.name
+
+    @property
+    def is_cropped(self) -> bool:
+        """Whether its principal point may be far off its middle."""
+        return self.photo.is_cropped if self.cropped is None else self.cropped
 
     @property
     def whole_pairs(self) -> tuple[PointPair, ...]:
@@ -116,6 +125,7 @@ class PhotoEntry:
             and self.enabled == other.enabled
             and self.pairs == other.pairs
             and self.mask_png == other.mask_png
+            and self.cropped == other.cropped
             and same_camera(self.camera, other.camera)
         )
 
@@ -135,6 +145,13 @@ class Document:
     """True cameras by photo name, where they are known (the demo)."""
     up: tuple[float, float, float] = (0.0, 1.0, 0.0)
     """Upwards in world axes, for the view and for first cameras."""
+    up_axis: UpAxis = "auto"
+    """How ``up`` is found: guessed from mesh and cameras, or as chosen."""
+
+    @property
+    def has_lens(self) -> bool:
+        """Whether the lens of a photo bends anything."""
+        return any(not entry.camera.lens.is_ideal for entry in self.photos)
 
     @property
     def used(self) -> tuple[PhotoEntry, ...]:
@@ -205,6 +222,8 @@ class CamerasChoice:
     format: FormatName = "photoreg"
     with_photos: bool = True
     """Whether photos and mesh go with them, where the format looks for these."""
+    undistorted: bool = False
+    """Whether photos and cameras are given as ideal lenses would have taken them."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -260,7 +279,7 @@ class Agreement:
         return float(np.clip(1.0 - self.cost / self.chance, 0.0, 1.0))
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class State:
     """Everything that is on screen, but for each browser's own view."""
 
@@ -290,7 +309,7 @@ class State:
     """What of which photo's camera the next run leaves exactly as it is."""
     one_focal: bool = False
     """Whether the photos were taken with one camera at one zoom: they then get one
-    focal length."""
+    focal length and one lens."""
     start_line: float | None = None
     """Where the line is between the start, on the left, and the overlay now, as a share
     of the width; None: no line."""
@@ -341,7 +360,9 @@ class State:
             lock_focal=holding("focal"),
             lock_principal_point=holding("principal_point"),
             lock_pose=holding("pose"),
+            lock_distortion=holding("lens"),
             share_focal=[names] if self.one_focal else (),
+            cropped=[e.name for e in self.document.used if e.is_cropped],
         )
 
     @property
@@ -351,6 +372,26 @@ class State:
         return (
             self.run.is_cut_short and kept is not None and kept.run == self.run.number
         )
+
+    @property
+    def grade(self) -> Grade | None:
+        """How far the cameras on screen are to be believed.
+
+        What the run that made them said; None where none did, or they have moved.
+        """
+        if self.run.status == "review":
+            return self.run.grade
+        if self.run.is_active:
+            return None
+        used = self.document.used
+        names = tuple(entry.name for entry in used)
+        for run in reversed(self.runs):
+            if run.photo_names == names and all(
+                same_camera(entry.camera, camera)
+                for entry, camera in zip(used, run.cameras, strict=True)
+            ):
+                return run.grade
+        return None
 
     @property
     def settings(self) -> RegistrationConfig:

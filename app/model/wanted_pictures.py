@@ -8,13 +8,13 @@ from photoreg.geometry.camera import Camera
 def wanted_view(state: State) -> OverlayView:
     """How the overlay is drawn, and what goes with it."""
     return OverlayView(
-        state.overlay_style,
-        state.overlay_onto,
-        state.overlay_share,
-        state.through_style,
-        state.mesh_opacity if state.through_style == "normals" else 0.0,
-        state.start_line,
-        state.surface,
+        style=state.overlay_style,
+        onto=state.overlay_onto,
+        share=state.overlay_share,
+        through=state.through_style,
+        mesh_opacity=state.mesh_opacity if state.through_style == "normals" else 0.0,
+        start_line=state.start_line,
+        surface=state.surface,
     )
 
 
@@ -35,8 +35,8 @@ def needs_overlay(old: State, new: State) -> bool:
 
 
 def wanted_reach(state: State) -> MeasureReach | None:
-    """What the next run's reach depends on beside the cameras; None without two."""
-    if state.document.mesh is None or len(state.document.used) < 2:
+    """What the next run's reach depends on beside the cameras; None without a photo."""
+    if state.document.mesh is None or not state.document.used:
         return None
     return MeasureReach(state.settings, state.freedom)
 
@@ -54,7 +54,7 @@ def wanted_comparison(state: State) -> Compare | None:
         if candidate.number == state.compared_with:
             other |= dict(zip(candidate.photo_names, candidate.cameras, strict=True))
     used = state.document.used
-    if len(used) < 2:
+    if not used:
         return None
     before = tuple(other.get(entry.name, entry.camera) for entry in used)
     return Compare(before, shown_cameras(state), state.overlay_style, state.surface)

@@ -33,6 +33,7 @@ def run_app(
     address: str | None = None,
     open_browser: bool = True,
     shadows: bool = True,
+    surroundings: bool = True,
 ) -> int:
     """Serves the app until it is interrupted; returns the exit status.
 
@@ -48,6 +49,8 @@ def run_app(
         address: Where people reach it through a proxy, "https://photos.example.org".
         open_browser: Whether to open the page, where there is a browser.
         shadows: Whether the scene is drawn with shadows; they cost a slow browser much.
+        surroundings: Whether a picture of surroundings lights the scene, too; without
+            a graphics card it costs ten seconds at first and half the speed.
 
     Raises:
         InputError: if a file is missing or not valid.
@@ -61,7 +64,7 @@ def run_app(
     try:
         open_project(projects, files, cameras, project)
         controller = Controller(session, projects=projects)
-        page = Page(session, controller, access, port, shadows)
+        page = Page(session, controller, access, port, shadows, surroundings)
         if page.port != port and port != 0:
             _say(f"Port {port} is taken, so photoreg uses {page.port}.")
         # A token that was given is known to who gave it, and stays out of logs.

@@ -80,6 +80,7 @@ class Page:
         access: AccessControl | None = None,
         port: int = 8080,
         shadows: bool = True,
+        surroundings: bool = True,
     ) -> None:
         self.session = session
         self.controller = controller
@@ -101,6 +102,8 @@ class Page:
         self._connecting = threading.Lock()
         self._closed = False
         self.server.scene.configure_default_lights(cast_shadow=shadows)
+        if not surroundings:
+            self.server.scene.configure_environment_map(hdri=None)
         self.scene = SceneNodes(self.server)
         self.scene.gizmos.on_pull(self._on_gizmo)
         self._build()
@@ -190,7 +193,7 @@ class Page:
         # On some keyboards it needs Shift, on others none.
         keys = gui.add_command("Keys and mouse", hotkey=question, modifier="shift")
         plain = gui.add_command("Help", hotkey=question)
-        whole = gui.add_command("The whole photo (Inspect)", hotkey="0")
+        whole = gui.add_command("The whole photo (Look through)", hotkey="0")
 
         @keys.on_trigger
         @plain.on_trigger
@@ -382,9 +385,9 @@ class Page:
         for client in self.server.get_clients().values():
             report(client, what, error)
 
-    def _tell_everybody(self, sentence: str) -> None:
+    def _tell_everybody(self, title: str, sentence: str) -> None:
         for client in self.server.get_clients().values():
-            notify(client, "That did not work", sentence)
+            notify(client, title, sentence)
 
 
 def is_passing(old: State, new: State) -> bool:

@@ -1,5 +1,6 @@
 """Tab 2, Align: bring each camera roughly into place by hand."""
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -58,12 +59,12 @@ class AlignPanel:
             repeat=True,
         )
         self._dolly = gui.add_slider(
-            "Dolly zoom",
+            "Zoom, same size",
             *FILM_RANGE_MM,
             step=0.1,
             initial_value=50.0,
-            hint="Longer lens from farther off, in mm of 35 mm film: the object keeps "
-            "its size, its perspective changes.",
+            hint="Zooms in and steps back, in mm of 35 mm film: the object keeps its "
+            "size in the photo; its perspective changes.",
         )
         with gui.add_folder("Numbers", expand_by_default=False):
             self._keep = gui.add_checkbox(
@@ -92,6 +93,19 @@ class AlignPanel:
                 (0.0, 0.0),
                 step=1.0,
                 hint="x and y in pixels, from the centre of the top-left pixel.",
+            )
+            self._radial = gui.add_vector3(
+                "Lens k1, k2, k3",
+                (0.0, 0.0, 0.0),
+                step=0.001,
+                hint="Lens distortion, OpenCV's radial terms: k1 below 0 bends lines "
+                "outwards, as wide-angle lenses do. 0: an ideal lens.",
+            )
+            self._tangential = gui.add_vector2(
+                "Lens p1, p2",
+                (0.0, 0.0),
+                step=0.0001,
+                hint="Lens distortion, OpenCV's tangential terms.",
             )
             self._position = gui.add_vector3(
                 "Position", (0.0, 0.0, 0.0), step=0.01, hint="In the model's units."
@@ -134,6 +148,8 @@ class AlignPanel:
                 ),
             ),
             Typed(self._principal, self._set_principal),
+            Typed(self._radial, lambda new: self._set_lens(("k1", "k2", "k3"), new)),
+            Typed(self._tangential, lambda new: self._set_lens(("p1", "p2"), new)),
             Typed(self._position, self._set_position),
             Typed(self._direction, self._set_direction),
             Typed(self._around, self._set_around),
@@ -195,6 +211,14 @@ class AlignPanel:
             "Principal point",
             lambda c: camera_numbers.with_principal_point(c, *_filled(new, c.K[:2, 2])),
             "principal",
+        )
+
+    def _set_lens(self, terms: tuple[str, ...], new: Typing) -> None:
+        typed = {t: v for t, v in zip(terms, new, strict=True) if v is not None}
+        self._change(
+            "Lens distortion",
+            lambda c: c.with_lens(dataclasses.replace(c.lens, **typed)),
+            "lens",
         )
 
     def _set_position(self, new: Typing) -> None:
@@ -282,6 +306,10 @@ class AlignPanel:
             (round(film_mm(camera), 2),),
             (round(camera_numbers.view_angle_deg(camera), 3),),
             tuple(round(float(v), 2) for v in camera.K[:2, 2]),
+            tuple(
+                round(v, 6) for v in (camera.lens.k1, camera.lens.k2, camera.lens.k3)
+            ),
+            tuple(round(v, 6) for v in (camera.lens.p1, camera.lens.p2)),
             tuple(round(float(v), max(0, place - 1)) for v in camera.center),
             tuple(round(float(v), 3) for v in camera_numbers.direction_deg(camera, up)),
             (

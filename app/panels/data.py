@@ -10,14 +10,26 @@ from app.model.camera_moves import guessed_focal_px
 from app.model.markup import escaped, sending
 from app.model.point_pairs import index_of_photo
 from app.model.session import select, setting
-from app.model.state import PhotoEntry, State
+from app.model.state import PhotoEntry, State, UpAxis
+from app.model.up_axis import guessed_up, with_up_axis
 from app.web.bridge import Bridge, Values, Whole
 from app.web.controls import guarded, guarded_slow, put, put_value
 from app.web.uploads import too_large
-from app.web.widgets import help_line
-from photoreg.formats.cameras.find import CAMERA_SUFFIXES
+from app.web.widgets import Choice, Option, help_line
+from photoreg.formats.cameras.registry import CAMERA_SUFFIXES
 from photoreg.formats.photos.registry import formats_in_words
+from photoreg.geometry.mesh import Mesh
 from photoreg.limits import Limits
+
+UP_AXES: dict[UpAxis, Option] = {
+    "auto": Option("Auto", "Guessed from the mesh and its cameras."),
+    "y": Option("Y", "The model's y axis points upwards."),
+    "z": Option("Z", "The model's z axis points upwards, as in surveys and CAD."),
+}
+
+
+def _axis(value: str) -> UpAxis:
+    return next(axis for axis in UP_AXES if axis == value)
 
 
 class DataPanel:
@@ -27,11 +39,21 @@ class DataPanel:
         self, gui: viser.GuiApi, controller: Controller, bridge: Bridge
     ) -> None:
         self._card_key: object = None
+        self._guessed: tuple[Mesh, tuple[tuple[float, float, float], str]] | None = None
         self._session = session = controller.session
         self._controller = controller
         self._limits = bridge.limits
         gui.add_markdown("A scanned surface, and the photos to lay onto it.")
         self._mesh_card = gui.add_html("")
+        self._up = Choice(
+            gui,
+            bridge,
+            "Up axis",
+            UP_AXES,
+            lambda _, value: session.change(
+                "Up axis", lambda state: with_up_axis(state, _axis(value))
+            ),
+        )
         self._photo_cards = gui.add_html("")
         self._open = gui.add_html("")
         with gui.add_folder("Demo and page", expand_by_default=False):
@@ -46,6 +68,7 @@ class DataPanel:
         bridge.on("select", lambda values, _: self._select(values["photo"]), photo=str)
         bridge.on("rename", self._on_rename, photo=str, name=str)
         bridge.on("enable", self._on_enable, photo=str, on=bool)
+        bridge.on("crop", self._on_crop, photo=str, on=bool)
         bridge.on("shift", self._on_shift, photo=str, by=Whole)
         bridge.on("remove", self._on_remove, photo=str)
         bridge.on(
@@ -95,6 +118,11 @@ class DataPanel:
         step = f"{'Use' if on else 'Leave out'} {name}"
         self._session.change(step, photo_list.enabled(name, on))
 
+    def _on_crop(self, values: Values, _: viser.ClientHandle) -> None:
+        name, on = values["photo"], values["on"]
+        step = f"Take {name} for {'cropped' if on else 'whole'}"
+        self._session.change(step, photo_list.cropped(name, on))
+
     def _on_shift(self, values: Values, _: viser.ClientHandle) -> None:
         name, by = values["photo"], values["by"]
         self._session.change(f"Move {name} in the list", photo_list.shifted(name, by))
@@ -113,10 +141,19 @@ class DataPanel:
         put_value(self._dark, state.dark)
         key = (
             state.document.mesh,
+            state.document.up,
+            state.document.up_axis,
             state.selected,
             busy,
             tuple(
-                (e.photo, e.enabled, e.mask_png, len(e.pairs), focal_text(e))
+                (
+                    e.photo,
+                    e.enabled,
+                    e.cropped,
+                    e.mask_png,
+                    len(e.pairs),
+                    focal_text(e),
+                )
                 for e in state.photos
             ),
         )
@@ -124,10 +161,26 @@ class DataPanel:
             return
         self._card_key = key
         put(self._mesh_card, "content", _mesh_card(state))
+        self._show_up(state)
         cards = "".join(
             self._card(i, entry, state, busy) for i, entry in enumerate(state.photos)
         )
         put(self._photo_cards, "content", f'<div style="{_COLUMN}">{cards}</div>')
+
+    def _show_up(self, state: State) -> None:
+        document = state.document
+        options, mesh = dict(UP_AXES), document.display_mesh
+        if mesh is not None and document.up_axis == "auto":
+            # Once a mesh: the cards are made anew with every step of a dragged slider.
+            if self._guessed is None or self._guessed[0] is not mesh:
+                self._guessed = mesh, guessed_up(mesh)
+            up, reason = self._guessed[1]
+            if document.up != up:
+                reason = "As the cameras stand."
+            options["auto"] = options["auto"]._replace(help=reason)
+        self._up.show(
+            document.up_axis, visible=document.mesh is not None, options=options
+        )
 
     def _card(self, index: int, entry: PhotoEntry, state: State, busy: bool) -> str:
         # By its address: the cards are sent anew with every step of a run.
@@ -151,6 +204,14 @@ class DataPanel:
                 "enable",
                 entry,
                 on=not entry.enabled,
+            )
+            + _button(
+                f"{'☑' if entry.is_cropped else '☐'} Cropped",
+                f"Take {name} for {'the whole photo' if entry.is_cropped else 'a part of one'}",
+                busy,
+                "crop",
+                entry,
+                on=not entry.is_cropped,
             )
             + f'<button title="Rename {name}" aria-label="Rename {name}" '
             f'style="{_SMALL}{_DIM if busy else ""}" {"disabled" if busy else ""} '
@@ -181,7 +242,10 @@ def focal_text(entry: PhotoEntry) -> str:
         at_start, where = photo.exif_focal_px, photo.exif_focal_note or "by EXIF"
     else:
         at_start, where = guessed_focal_px(photo), "a guess: no EXIF"
-    return f"{text}, {where}" if math.isclose(focal_px, at_start) else text
+    text = f"{text}, {where}" if math.isclose(focal_px, at_start) else text
+    if entry.is_cropped:
+        text += " · cropped: its middle may not be the lens's; give the whole photo if you can"
+    return text
 
 
 def _button(
@@ -238,8 +302,8 @@ def _opening_html(state: State, busy: bool, limits: Limits) -> str:
         )
         + f'<div style="{_FINE_PRINT}">'
         "To go on from another program: COLMAP (cameras and images together, or a zip), "
-        "MeshLab .mlp, nerfstudio, texrecon, OpenCV, Bundler, or photoreg’s own "
-        "cameras.json. Matched to the photos by file name.</div></div>"
+        "Metashape’s XML, MeshLab .mlp, nerfstudio, texrecon, OpenCV, Bundler, or photoreg’s "
+        "own cameras.json. Matched to the photos by file name.</div></div>"
     )
 
 

@@ -15,7 +15,7 @@ from app.web.bridge import Bridge
 from app.web.controls import guarded, guarded_slow, notify, put, put_value
 from app.web.widgets import HELP, Choice, Option, help_line
 from photoreg.errors import InputError
-from photoreg.formats.cameras.registry import CAMERA_FORMATS
+from photoreg.formats.cameras.registry import WRITTEN_FORMATS
 
 SIZES = {
     "auto": Option("Auto", "Somewhat finer than the photos' pixels on the surface."),
@@ -29,7 +29,9 @@ MODES = {
     "best": Option("Best view", "Each spot from its best photo alone; seams may show."),
 }
 LAYOUTS = {
-    "own": Option("Its own", "The layout that the model came with, kept as it is."),
+    "own": Option(
+        "Scan's UV layout", "The layout that the model came with, kept as it is."
+    ),
     "new": Option("New", "The surface is cut into charts and laid out afresh."),
 }
 PICTURES = {
@@ -43,7 +45,7 @@ FORMATS = {
     "coloured ply": Option("PLY, no picture", "Colours at the vertices, no texture."),
 }
 
-PROGRAMS = {format.label: name for name, format in CAMERA_FORMATS.items()}
+PROGRAMS = {format.label: name for name, format in WRITTEN_FORMATS.items()}
 
 
 class ExportPanel:
@@ -123,6 +125,12 @@ class ExportPanel:
             True,
             hint="Puts the photo files into the zip, where the program looks for them.",
         )
+        self._undistorted = gui.add_checkbox(
+            "Undistorted",
+            False,
+            hint="For programs that know no lens distortion: photos as ideal lenses would "
+            "have taken them, as PNG, and their cameras without lenses.",
+        )
         self._cameras = gui.add_button(
             "Download the cameras",
             icon=viser.Icon.CAMERA,
@@ -139,6 +147,11 @@ class ExportPanel:
         @guarded
         def _(_: viser.GuiEvent) -> None:
             choose_cameras(with_photos=self._with_photos.value)
+
+        @self._undistorted.on_update
+        @guarded
+        def _(_: viser.GuiEvent) -> None:
+            choose_cameras(undistorted=self._undistorted.value)
 
         @self._cameras.on_click
         @guarded_slow
@@ -202,11 +215,15 @@ class ExportPanel:
 
     def _show_cameras(self, state: State, idle: bool) -> None:
         choice = state.cameras_choice
-        chosen = CAMERA_FORMATS[choice.format]
+        chosen = WRITTEN_FORMATS[choice.format]
         put_value(self._program, chosen.label)
-        put(self._loses, "content", help_line(f"{chosen.keeps} {chosen.loses}"))
-        put(self._with_photos, "visible", chosen.is_beside_photos)
+        put(self._loses, "content", help_line(chosen.in_words))
+        has_lens = state.document.has_lens
+        is_flat = has_lens and choice.undistorted
+        put(self._with_photos, "visible", chosen.is_beside_photos and not is_flat)
         put_value(self._with_photos, choice.with_photos)
+        put(self._undistorted, "visible", has_lens)
+        put_value(self._undistorted, choice.undistorted)
         put(self._cameras, "disabled", not state.document.photos or not idle)
 
 
@@ -233,7 +250,9 @@ def _unseen_options(state: State) -> dict[str, Option]:
     return {
         "diffuse": Option("Filled in", "Colours spread from seen neighbours."),
         "colour": Option("One colour", "It shows plainly what no photo saw."),
-        "own": Option("Its own", "The colours that the mesh came with.", has_own),
+        "own": Option(
+            "Scan's own colour", "The colours that the mesh came with.", has_own
+        ),
     }
 
 

@@ -8,19 +8,34 @@ from app.model.markup import in_markdown
 from app.model.session import Session, setting
 from app.model.state import HeldPart, State
 from app.web.controls import guarded, put, put_value
+from photoreg.geometry.lens import Distortion
 from photoreg.registration.config import RegistrationConfig
 from photoreg.search.box_reach import BoxReach
 
 PARTS: dict[HeldPart, tuple[str, str]] = {
     # Longer names would wrap.
-    "pose": ("Keep place", "Where this camera stands, and where it looks."),
-    "focal": ("Keep focal", "The focal length: the zoom of this photo."),
+    "pose": ("Lock position", "Where this camera stands, and where it looks."),
+    "focal": ("Lock zoom", "The focal length: the zoom of this photo."),
     "principal_point": (
-        "Keep centre",
+        "Lock image centre",
         "The principal point: where in this photo the lens looks straight ahead.",
+    ),
+    "lens": (
+        "Lock lens",
+        "The lens distortion of this photo, where the run may change it.",
     ),
 }
 
+
+DISTORTIONS: dict[str, Distortion] = {
+    "Keep as it is": "none",
+    "Find what shows": "auto",
+    "Find k1": "k1",
+    "Find k1 and k2": "k1k2",
+    "Find all terms": "full",
+}
+"""What the choice says, and what it means."""
+_LABELS = {distortion: label for label, distortion in DISTORTIONS.items()}
 
 BOX_PERCENT = (25, 300, 5)
 """Least, most and step of the box's size, against the preset's."""
@@ -53,11 +68,11 @@ class FreedomPanel:
         self._held: set[tuple[str, HeldPart]] = set()
         self._is_one_focal = False
         self._size = gui.add_slider(
-            "Search box, %",
+            "How far to look, %",
             *BOX_PERCENT,
             100,
-            hint="How far from the start cameras are sought, against the preset's box. "
-            "Wider takes a worse start, and needs a longer search.",
+            hint="How far from the start to look for the cameras; 100 is the preset's own. "
+            "Wider accepts a worse start and needs a longer search.",
         )
         self._reach = gui.add_markdown("")
         self._fold = gui.add_folder("What may move", expand_by_default=False)
@@ -67,10 +82,18 @@ class FreedomPanel:
                 "is kept whole still guides the others."
             )
             self._one_focal = gui.add_checkbox(
-                "One focal",
+                "Same zoom for all",
                 False,
                 hint="The photos were taken with one camera at one zoom: they get one "
-                "focal length.",
+                "focal length and one lens distortion.",
+            )
+
+            self._distortion = gui.add_dropdown(
+                "Lens distortion",
+                tuple(DISTORTIONS),
+                hint="How much of how the lenses bend lines is found along: more suits "
+                "photos straight from a phone or camera, nothing photos that another "
+                "program has undistorted.",
             )
 
         @self._size.on_update
@@ -81,6 +104,17 @@ class FreedomPanel:
             box = usual.box.widened(self._size.value / 100.0)
             config = dataclasses.replace(state.settings, box=box)
             if box_percent(state) != self._size.value:
+                session.change(None, setting(config=config))
+
+        @self._distortion.on_update
+        @guarded
+        def _(_: viser.GuiEvent) -> None:
+            chosen, settings = (
+                DISTORTIONS[self._distortion.value],
+                session.state.settings,
+            )
+            if chosen != settings.distortion:
+                config = dataclasses.replace(settings, distortion=chosen)
                 session.change(None, setting(config=config))
 
         @self._one_focal.on_update
@@ -99,6 +133,7 @@ class FreedomPanel:
         put(self._size, "visible", is_seen)
         put(self._reach, "visible", is_seen)
         put_value(self._size, box_percent(state))
+        put_value(self._distortion, _LABELS[state.settings.distortion])
         put(
             self._reach,
             "content",

@@ -131,7 +131,7 @@ class Stepper:
         low, high = (share * side for share in FOCAL_RANGE)
         focal = float(np.clip(change(entry.camera.focal_px), low, high))
         camera = with_focal(entry.camera, focal, _centroid(state))
-        self._put(f"Dolly zoom {index + 1}", index, camera, "dolly")
+        self._put(f"Zoom camera {index + 1}, same size", index, camera, "dolly")
 
     def _put(self, name: str, index: int, camera: Camera, gesture: str) -> None:
         self._session.change(name, with_entry(index, camera=camera), (gesture, index))

@@ -195,14 +195,16 @@ def curve_arrays(curve: tuple[CurvePoint, ...]) -> tuple[np.ndarray, ...]:
 
 def _caption(state: State) -> str:
     used = state.document.used
-    text = "Two photos in use are needed for an overlay."
-    if len(used) > 1 and state.document.mesh is not None:
+    text = "A mesh and a photo in use are needed for an overlay."
+    if len(used) == 1 and state.document.mesh is not None:
+        text = f"The surface, by its normals, over <b>{escaped(used[0].name)}</b>"
+    elif used and state.document.mesh is not None:
         onto = state.overlay_onto
         source = used[(onto + 1) % len(used)]
         text = (
-            f"<b>{escaped(source.name)}</b> carried over the surface onto "
+            f"<b>{escaped(source.name)}</b> projected onto "
             f"<b>{escaped(used[onto].name)}</b>"
         )
-        if state.run.error_px is not None:
-            text += f" · true error <b>{state.run.error_px:.2f} px</b>"
+    if used and state.document.mesh is not None and state.run.error_px is not None:
+        text += f" · true error <b>{state.run.error_px:.2f} px</b>"
     return f'<div style="{CAPTION}">{text}</div>'

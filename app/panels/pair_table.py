@@ -146,7 +146,7 @@ def _rows_html(state: State, name: str, rows: list[dict[str, Any]]) -> str:
             "</tr>"
         )
     head = '<tr style="opacity:.6;font-size:12px"><td style="padding:0 6px">Point</td>'
-    head += '<td style="text-align:right">Residual</td><td></td><td></td></tr>'
+    head += '<td style="text-align:right">Off by</td><td></td><td></td></tr>'
     return (
         '<table style="width:100%;border-collapse:collapse">'
         f"{head}{''.join(cells)}</table>"

@@ -67,7 +67,7 @@ class PointsPanel:
             color="gray",
             mime_type=",".join(MASK_SUFFIXES),
             hint="A picture of the photo's shape: dark or transparent where this photo "
-            "does not count. Leave out and Bring back, above, paint it.",
+            "does not count. Mask and Bring back, above, paint it.",
         )
         gui.add_markdown(
             "Drag a marker, in the photo or on the model, to correct it; **Delete** "

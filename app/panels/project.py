@@ -121,7 +121,7 @@ class ProjectPanel:
                         folder=user_data.folder_named(text) if text else None
                     )
 
-            question.end("Make it", make)
+            question.end("Create", make)
 
     def _ask_open(self, client: viser.ClientHandle) -> None:
         current = self._projects.current
@@ -150,7 +150,7 @@ class ProjectPanel:
                 )
             )
             question.end(
-                "Open it",
+                "Open",
                 lambda: self._projects.open(user_data.folder_named(name.value)),
             )
 

@@ -12,10 +12,10 @@ from app.model.session import setting
 from app.model.state import State
 from app.panels.advanced import AdvancedPanel
 from app.panels.freedom import FreedomPanel
+from app.panels.meter import VERDICTS
 from app.panels.runs import RunsPanel
 from app.web.controls import guarded, guarded_slow, put, put_value
 from photoreg.registration.config import PresetName, RegistrationConfig
-from photoreg.registration.verdict import Grade
 
 PRESETS: dict[str, PresetName] = {name: key for key, name in PRESET_NAMES.items()}
 PRESET_HELP: dict[PresetName, str] = {
@@ -26,20 +26,14 @@ PRESET_HELP: dict[PresetName, str] = {
 }
 
 
-VERDICTS: dict[Grade, tuple[str, str]] = {
-    "convincing": ("#2dbeaf", "✓"),
-    "plausible": ("#e8a33d", "≈"),
-    "unconvincing": ("#e5484d", "✗"),
-}
-
-
 class RefinePanel:
     """Controls of the Refine tab."""
 
     def __init__(self, gui: viser.GuiApi, controller: Controller) -> None:
         self._controller = controller
         gui.add_markdown(
-            "Moves all cameras together until the photos agree over the whole surface."
+            "Moves all cameras together until the photos agree over the whole surface; "
+            "one photo's, until it agrees with the surface itself."
         )
         self._preset = gui.add_dropdown(
             "Thoroughness",
@@ -70,7 +64,6 @@ class RefinePanel:
         self._stop = gui.add_button(
             "Stop and keep the best",
             icon=viser.Icon.PLAYER_STOP,
-            color="red",
             visible=False,
             hint="Ends the run; you may accept the best cameras it found.",
         )
@@ -160,7 +153,7 @@ class RefinePanel:
         )
         put(self._preset, "disabled", not idle)
         put(self._preset_help, "content", _preset_help(state))
-        ready = state.document.mesh is not None and len(state.document.used) > 1
+        ready = state.document.mesh is not None and bool(state.document.used)
         put(self._checks, "content", _checks(state) if idle and ready else "")
         put(self._start, "visible", idle)
         put(self._start, "disabled", not ready or state.job is not None)
@@ -176,6 +169,13 @@ class RefinePanel:
         put_value(self._bar, round(100.0 * run.fraction, 1))
         for button in (self._accept, self._revert, self._again, self._report):
             put(button, "visible", review)
+        doubtful = review and run.grade == "unconvincing"
+        first, second = sorted((self._accept.order, self._revert.order))
+        put(self._accept, "order", second if doubtful else first)
+        put(self._revert, "order", first if doubtful else second)
+        put(self._accept, "label", "Keep anyway" if doubtful else "Accept")
+        put(self._accept, "color", "gray" if doubtful else "teal")
+        put(self._revert, "color", "teal" if doubtful else "gray")
         put(self._on, "visible", state.can_go_on)
         put(self._report, "disabled", self._controller.refinement.comparison is None)
         put(self._verdict, "visible", review and bool(run.verdict))
@@ -224,9 +224,14 @@ def _checks(state: State) -> str:
     if readiness is None:
         return ""
     text = (
-        f"The photos overlap in **{100.0 * readiness.overlap:.0f} %** of the surface "
-        "that they see."
+        "One photo: it is compared with the shape of the surface, by shading and outline. "
+        "A second photo makes the answer surer."
     )
+    if readiness.overlap is not None:
+        text = (
+            f"The photos overlap in **{100.0 * readiness.overlap:.0f} %** of the surface "
+            "that they see."
+        )
     return text + "".join(
         f"\n\n⚠ {in_markdown(problem)}" for problem in readiness.problems
     )
@@ -236,7 +241,7 @@ def _report(state: State, ready: bool) -> str:
     run = state.run
     if run.status == "idle":
         if not ready:
-            return "A mesh and two photos are needed. Load them in the Data tab."
+            return "A mesh and a photo are needed. Load them in the Data tab."
         if run.error_px is not None:
             return (
                 f"True error now: **{run.error_px:.2f} px** (the truth is known here)."
@@ -283,7 +288,8 @@ def _table(run: Run) -> str:
         rows.append(
             ("True error", f"{run.start_error_px:.2f}", f"{run.error_px:.2f} px")
         )
-    if run.expected_error_px is not None:
+    # What is expected of a right answer would mislead about one that is not believed.
+    if run.expected_error_px is not None and run.grade != "unconvincing":
         rows.append(("Expected error", "", f"{run.expected_error_px:.2f} px"))
     elif run.is_active:
         rows.append(("Expected error", "", "once it polishes"))

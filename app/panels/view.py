@@ -18,22 +18,22 @@ from app.web.widgets import Choice, Option
 
 MODES: dict[Mode, Option] = {
     "free": Option(
-        "Free",
+        "3-D scene",
         "Walk around the scene. Drag the coloured arrows and arcs to place the camera.",
     ),
     "inspect": Option(
-        "Inspect",
-        "Look through the photo; the camera stays. Wheel zooms, drag pans.",
+        "Look through",
+        "See the model through the photo; the camera stays. Wheel zooms, drag pans.",
     ),
     "move": Option(
-        "Move",
-        "Look through and take the camera along: drag orbits, right drag pans, wheel "
-        "nears.",
+        "Move the camera",
+        "Look through and move the camera: drag to orbit, right drag to pan, wheel: "
+        "closer, farther.",
     ),
 }
 GIZMOS = {
-    "move": Option("Move", "At the camera: arrows move it, arcs turn it."),
-    "orbit": Option("Orbit", "Arcs carry the camera around the object."),
+    "move": Option("Shift and turn", "At the camera: arrows shift it, arcs turn it."),
+    "orbit": Option("Around the object", "Arcs carry the camera around the object."),
 }
 
 
@@ -63,7 +63,7 @@ class ViewPanel:
         self._gizmo = Choice(
             gui,
             bridge,
-            "Gizmo",
+            "Handles",
             GIZMOS,
             lambda _, value: session.change(None, setting(gizmo=value)),
             next(orders),

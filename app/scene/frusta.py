@@ -8,6 +8,8 @@ from app.model.camera_moves import DisplayFrame, frustum_corners
 from app.model.state import PhotoEntry, State
 from app.web.controls import put
 from photoreg.geometry.camera import Camera
+from photoreg.geometry.lens import Lens
+from photoreg.imaging.undistort import undistorted_photo
 
 SELECTED_COLOUR = (45, 190, 175)
 FRUSTUM_COLOUR = (140, 150, 170)
@@ -61,7 +63,8 @@ class Frusta:
 class Frustum:
     """One photo in the scene: lines from the camera's centre, and the photo itself.
 
-    Made from K by hand; viser's own frustum has no principal point.
+    Made from K by hand; viser's own frustum has no principal point. The photo is shown
+    undistorted, as far as the lens is known.
     """
 
     def __init__(self, server: viser.ViserServer, name: str) -> None:
@@ -72,6 +75,7 @@ class Frustum:
         self._image: viser.ImageHandle | None = None
         self._photo: object = None
         self._K: np.ndarray | None = None
+        self._lens: Lens | None = None
 
     def show(self, entry: PhotoEntry, frame: DisplayFrame, selected: bool) -> None:
         """Makes the nodes as ``entry`` has them."""
@@ -83,6 +87,7 @@ class Frustum:
             self._photo is not entry.photo
             or self._K is None
             or not np.array_equal(self._K, camera.K)
+            or self._lens != camera.lens
         ):
             self._draw(entry)
         assert self._lines is not None
@@ -110,10 +115,12 @@ class Frustum:
             )
         else:
             self._lines.points = lines.astype(np.float32)
-        if self._photo is not entry.photo or self._image is None:
+        is_new = self._photo is not entry.photo or self._lens != camera.lens
+        if is_new or self._image is None:
+            small = entry.photo.resized(IMAGE_SIDE_PX)
             self._image = self._scene.add_image(
                 f"{self._name}/photo",
-                entry.photo.resized(IMAGE_SIDE_PX).pixels,
+                undistorted_photo(small, camera).pixels,
                 width,
                 height,
                 format="jpeg",
@@ -126,7 +133,7 @@ class Frustum:
             self._image.render_width = width
             self._image.render_height = height
             self._image.position = centre
-        self._photo, self._K = entry.photo, camera.K
+        self._photo, self._K, self._lens = entry.photo, camera.K, camera.lens
 
     def remove(self) -> None:
         """Takes the nodes out of the scene."""

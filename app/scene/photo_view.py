@@ -1,7 +1,8 @@
 """The photo that is looked through, in one browser: behind the scene, or within it.
 
-In Move it is the background, warped to the canvas. In Inspect it is a plane that stands
-beyond the object, where K says, so that any zoom shows both together.
+In *Move the camera* it is the background, warped to the canvas. In *Look through* it is a plane that stands
+beyond the object, where K says, so that any zoom shows both together. Either way it is
+undistorted, as browsers draw the mesh without a lens.
 """
 
 import dataclasses
@@ -31,6 +32,7 @@ from app.scene.nodes import SceneNodes
 from app.web.controls import put, put_jpeg
 from photoreg.geometry.camera import Camera
 from photoreg.imaging.photo import Photo
+from photoreg.imaging.undistort import undistorted_photo
 
 MAX_BACKGROUND_PX = 1600
 MAX_PLANE_PX = 4096
@@ -38,7 +40,7 @@ MAX_PLANE_PX = 4096
 
 @dataclasses.dataclass(frozen=True)
 class Plane:
-    """The photo as it stands in the scene in Inspect."""
+    """The photo as it stands in the scene in *Look through*."""
 
     root: viser.SceneNodeHandle
     image: viser.ImageHandle
@@ -97,12 +99,14 @@ class PhotoView:
                 else Photo(entry.name, _decoded(picture))
             )
             camera = entry.camera.resized(photo.width, photo.height)
+            if picture is None:  # The worker's is undistorted already.
+                photo = undistorted_photo(photo, camera)
             around = SURROUND[state.dark]
             return warped_photo(photo.pixels, camera, focal, width, height, around)
 
         shown = entry.photo if picture is None else picture
-        K = entry.camera.K.tobytes()
-        self._set_background(("move", shown, width, height, K, state.dark), warped)
+        optics = entry.camera.K.tobytes(), entry.camera.lens
+        self._set_background(("move", shown, width, height, optics, state.dark), warped)
 
     def _reduced(self, photo: Photo) -> Photo:
         """The photo as small as a background may be, kept: the lens changes often."""
@@ -111,13 +115,13 @@ class PhotoView:
         return self._small[1]
 
     def show_plane(self, state: State, entry: PhotoEntry, zoom: float) -> None:
-        """Inspect: the photo as a plane in the scene, beyond the object."""
+        """Look through: the photo as a plane in the scene, beyond the object."""
         camera, frame, mesh = entry.camera, self._scene.frame, state.document.mesh
         around = np.full((4, 4, 3), SURROUND[state.dark], dtype=np.uint8)
         self._set_background(("inspect", state.dark), lambda: around)
         rotation, position = frame.pose(camera)
         picture = self._shown(state, entry)
-        shown = entry.photo if picture is None else picture
+        shown = (entry.photo, camera.lens) if picture is None else picture
         plane = self._plane
         bounds = np.array([[-1.0] * 3, [1.0] * 3]) if mesh is None else mesh.bounds
         width, height, centre = photo_plane(camera, far_depth(frame, camera, bounds))
@@ -133,8 +137,8 @@ class PhotoView:
                 cast_shadow=False,
                 receive_shadow=False,
             )
-            plane = Plane(root, image, entry.photo)
-        if plane.photo is not shown:
+            plane = Plane(root, image, (entry.photo, camera.lens))
+        if plane.photo != shown:
             if picture is None:
                 plane.image.image = _plane_pixels(entry)
             else:
@@ -152,7 +156,7 @@ class PhotoView:
         self._inspect(round(float(np.degrees(self.view_angle(camera))), 9))
 
     def remove_plane(self) -> None:
-        """Ends Inspect: the wheel and the mouse work as before, too."""
+        """Ends *Look through*: the wheel and the mouse work as before, too."""
         if self._plane is not None:
             self._plane.root.remove()
             self._plane = None
@@ -184,7 +188,7 @@ class PhotoView:
         )
 
     def _inspect(self, fit_deg: float | None) -> None:
-        """Tells this browser which view angle shows the whole photo; None: not Inspect."""
+        """Tells this browser which view angle shows the whole photo; None: not there."""
         fit = json.dumps(fit_deg)
         if self._fit == fit:
             return
@@ -197,7 +201,7 @@ class PhotoView:
 def _plane_pixels(entry: PhotoEntry) -> np.ndarray:
     photo = entry.photo.resized(MAX_PLANE_PX)
     camera = entry.camera.resized(photo.width, photo.height)
-    return without_skew(photo.pixels, camera)
+    return without_skew(undistorted_photo(photo, camera).pixels, camera)
 
 
 def _decoded(jpeg: bytes) -> np.ndarray:

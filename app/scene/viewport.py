@@ -1,7 +1,7 @@
 """One browser's view: free, or through a photo's camera with the photo behind the mesh.
 
 Two ways to look through. *Move*: the photo is the background, glued to the canvas, and
-the camera follows the view. *Inspect*: the camera stays; the photo is a plane in the
+the camera follows the view. *Look through*: the camera stays; the photo is a plane in the
 scene, and the view only turns about the camera's centre and zooms by its field of view,
 so mesh and photo stay together to the pixel at any zoom.
 """
@@ -51,7 +51,7 @@ HOLD_S = 0.7
 """So long after its last move a view keeps the camera in its hand."""
 
 PIVOT = 1e-3
-"""Distance of the pivot in Inspect, in page units: the view turns about the camera's
+"""Distance of the pivot in *Look through*, in page units: the view turns about the camera's
 centre to less than a tenth of a pixel."""
 
 FARTHEST_PIVOT = 1e4
@@ -78,7 +78,7 @@ class Viewport:
         self.mode: Mode = "free"
         self._is_picking = False
         self.zoom = 1.0
-        """In Inspect: how much larger than the whole photo."""
+        """In *Look through*: how much larger than the whole photo."""
         self._controller = controller
         self._session = controller.session
         self._scene = scene
@@ -144,7 +144,7 @@ class Viewport:
                 self._keep_home(self._session.state)
 
     def fit(self) -> None:
-        """Inspect: the whole photo again."""
+        """Look through: the whole photo again."""
         with self._lock:
             if self.mode == "inspect":
                 self.set_zoom(1.0)
@@ -153,7 +153,7 @@ class Viewport:
                 self._wake()
 
     def set_zoom(self, zoom: float) -> None:
-        """Inspect: how much larger than the whole photo."""
+        """Look through: how much larger than the whole photo."""
         with self._lock:
             entry, view = self._session.state.selected_photo, self.client.camera
             if self.mode != "inspect" or entry is None:
@@ -323,7 +323,7 @@ class Viewport:
         )
 
     def _follow_eye(self, view: viser.CameraHandle, entry: PhotoEntry) -> None:
-        """Inspect: remembers where the view looks and how far it is zoomed in."""
+        """Look through: remembers where the view looks and how far it is zoomed in."""
         camera, frame = entry.camera, self._scene.frame
         rotation, position = frame.pose(camera)
         off = float(np.abs(np.array(view.position) - position).max())

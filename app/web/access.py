@@ -1,4 +1,4 @@
-"""The doors: who may come in, and what every answer tells the browser to refuse.
+"""Access control: who is let in, and what every answer tells the browser to refuse.
 
 viser checks neither Origin nor Host and knows no password: any page in the same browser
 could drive a server on this machine. The websocket library's handshake hook, through
@@ -31,7 +31,7 @@ from app.web.incoming import check_incoming
 from app.web.photo_server import ROOT, PhotoServer
 from app.web.scripts import Hook, with_scripts
 from app.web.token_guesses import Guesses
-from app.web.viser_patches import mend_wakening
+from app.web.viser_patches import use_thread_safe_buffers
 from photoreg.errors import InputError
 
 log = logging.getLogger(__name__)
@@ -110,7 +110,7 @@ class AccessControl:
 
     @property
     def is_public(self) -> bool:
-        """Whether other machines can come to the door."""
+        """Whether other machines can reach the page."""
         return self.address is not None or not is_loopback(self.host)
 
     def entrance(self, port: int, with_token: bool = True) -> str:
@@ -196,7 +196,7 @@ class AccessControl:
             self.guesses.was_wrong(source, value)
         if wrong:
             return _response(
-                http.HTTPStatus.FORBIDDEN, _door_page().replace(*WRONG), HTML
+                http.HTTPStatus.FORBIDDEN, _token_page().replace(*WRONG), HTML
             )
         secure = "; Secure" if (self.address or "").startswith("https") else ""
         # Lax, not Strict: a link in a mail must lead in at the first click.
@@ -256,12 +256,12 @@ def refusal(text: str, html: bool = False) -> Response:
     status = http.HTTPStatus.FORBIDDEN
     if not html:
         return _response(status, text + "\n")
-    return _response(status, _door_page(), HTML)
+    return _response(status, _token_page(), HTML)
 
 
 @functools.cache
-def _door_page() -> str:
-    return (static_folder() / "door.html").read_text(encoding="utf-8")
+def _token_page() -> str:
+    return (static_folder() / "token.html").read_text(encoding="utf-8")
 
 
 def _redirection(pairs: list[tuple[str, str]]) -> Response:
@@ -287,8 +287,8 @@ def _response(
 def start_viser(
     access: AccessControl, port: int, pictures: PhotoServer
 ) -> viser.ViserServer:
-    """A viser server behind these doors, which also has our pictures."""
-    mend_wakening()
+    """A viser server with this access control, which also has our pictures."""
+    use_thread_safe_buffers()
     check_incoming()
     serve = websocket_server.serve
 
@@ -312,7 +312,7 @@ def start_viser(
 
 
 def with_access_control(access: AccessControl, following: Hook) -> Hook:
-    """The handshake hook: the doors first, then ``following``; safe headers on all."""
+    """The handshake hook: access control first, then ``following``; safe headers on all."""
 
     async def process(connection: ServerConnection, request: Request) -> Any:
         peer = str((connection.remote_address or ("",))[0])

@@ -16,32 +16,32 @@ SECTIONS = (
             ("J L I K", "move the object left, right, up, down in the photo"),
             ("N M", "bring the object nearer, take it farther"),
             ("U O", "roll the camera left, right"),
-            ("F V", "dolly zoom: longer, shorter lens, same size"),
+            ("F V", "zoom in, out; the object keeps its size"),
             ("Shift · Alt with these", "ten times coarser · ten times finer"),
             ("Ctrl+K", "all commands, to be searched"),
             ("?", "this help"),
         ),
     ),
     (
-        "Move",
+        "Move the camera",
         (
             ("drag", "orbit: the camera circles the object"),
             ("right drag", "shift the camera"),
-            ("wheel", "nearer, farther"),
+            ("wheel", "closer, farther"),
         ),
     ),
     (
-        "Free",
+        "3-D scene",
         (
             ("drag", "turn the scene"),
             ("right drag", "shift the scene"),
-            ("wheel", "nearer, farther"),
+            ("wheel", "closer, farther"),
             ("W A S D Q E, arrows", "walk, turn"),
             ("drag an arrow, an arc", "move the camera, turn it"),
         ),
     ),
     (
-        "Inspect",
+        "Look through",
         (
             ("wheel", "zoom in and out, at the cursor"),
             ("drag, arrows", "pan"),

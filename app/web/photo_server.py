@@ -17,6 +17,7 @@ import numpy as np
 from app.model.masks import decode_mask
 from app.model.messages import SMALL_PX
 from app.model.scene_files import static_folder
+from photoreg.imaging.encoding import encode, encode_jpeg
 from photoreg.imaging.photo import Photo
 
 ROOT = "/photoreg/"
@@ -27,7 +28,7 @@ SIDES_PX = {"overview": OVERVIEW_PX, "small": SMALL_PX, "thumbnail": THUMBNAIL_P
 MAX_PHOTOS = 200
 TILE_PX = 512
 QUALITY = 88
-MASK_COLOUR_BGR = (70, 70, 255)
+MASK_COLOUR = (255, 70, 70)
 
 Answer = tuple[str, bytes]
 """Content type and body."""
@@ -107,7 +108,7 @@ class PhotoServer:
             return None
         data = self._wholes.get((key, size))
         if data is None:
-            data = _jpeg(photo.resized(SIDES_PX[size]).pixels)
+            data = encode_jpeg(photo.resized(SIDES_PX[size]).pixels, QUALITY)
             self._wholes[key, size] = data
         return "image/jpeg", data
 
@@ -118,7 +119,8 @@ class PhotoServer:
         x, y = column * TILE_PX, row * TILE_PX
         if x >= photo.width or y >= photo.height:
             return None
-        return "image/jpeg", _jpeg(photo.pixels[y : y + TILE_PX, x : x + TILE_PX])
+        tile = photo.pixels[y : y + TILE_PX, x : x + TILE_PX]
+        return "image/jpeg", encode_jpeg(tile, QUALITY)
 
     def _mask(self, key: str) -> Answer | None:
         png = self._masks.get(key)
@@ -128,15 +130,6 @@ class PhotoServer:
         shrink = min(1.0, OVERVIEW_PX / max(mask.shape))
         out = np.where(mask, np.uint8(0), np.uint8(255))
         out = cv2.resize(out, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
-        bgra = np.zeros((*out.shape, 4), np.uint8)
-        bgra[..., :3], bgra[..., 3] = MASK_COLOUR_BGR, out
-        done, data = cv2.imencode(".png", bgra, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-        assert done
-        return "image/png", data.tobytes()
-
-
-def _jpeg(pixels: np.ndarray) -> bytes:
-    bgr = cv2.cvtColor(np.ascontiguousarray(pixels), cv2.COLOR_RGB2BGR)
-    done, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-    assert done
-    return data.tobytes()
+        rgba = np.zeros((*out.shape, 4), np.uint8)
+        rgba[..., :3], rgba[..., 3] = MASK_COLOUR, out
+        return "image/png", encode(rgba, ".png", (cv2.IMWRITE_PNG_COMPRESSION, 1))

@@ -11,9 +11,7 @@ THROUGH_STYLES = {
     "normals": Option(
         "Normals", "The mesh coloured by where it faces: relief, whatever the light."
     ),
-    "photo": Option(
-        "Other photo", "The next photo, carried over the surface into this."
-    ),
+    "photo": Option("Other photo", "The next photo, projected into this."),
 }
 PHOTO_STYLES = {
     "blend": Option("Blend", "Both mixed: double lines show a shift."),

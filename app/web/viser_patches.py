@@ -1,4 +1,4 @@
-"""How viser wakes what sends to browsers, made safe for several threads.
+"""How viser notifies what sends to browsers, made safe for several threads.
 
 viser 1.1.1 sets an asyncio event from whatever thread queues a message. Such an event is
 its loop's alone: where several browsers wait for it, now and then the loop changed the
@@ -47,6 +47,6 @@ class ThreadSafeBuffer(AsyncMessageBuffer):
             super().push(sendable(message))
 
 
-def mend_wakening() -> None:
+def use_thread_safe_buffers() -> None:
     """Has all servers and clients of viser made from now on use such buffers."""
     _infra.AsyncMessageBuffer = ThreadSafeBuffer  # pyright: ignore

@@ -12,6 +12,7 @@ import math
 import os
 import signal
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -26,6 +27,7 @@ import tyro
 from photoreg.checks import noting_inputs
 from photoreg.cli.app import app_command
 from photoreg.cli.convert import convert_command
+from photoreg.cli.undistort import undistort_command
 from photoreg.errors import InputError, OutputError, PhotoregError
 from photoreg.formats.cameras.cameras_json import CameraFile, save_cameras
 from photoreg.formats.cameras.registry import photos_by_name, read_cameras
@@ -33,20 +35,23 @@ from photoreg.formats.meshes.read import load_mesh
 from photoreg.formats.models.encode_texture import PictureKind, encode_picture
 from photoreg.formats.models.registry import save_textured, textured_files
 from photoreg.formats.photos.read import load_photo
-from photoreg.formats.writing import check_outputs, check_suffix, write_files
+from photoreg.formats.writing import Content, check_outputs, check_suffix
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.projection_error import projection_error
+from photoreg.imaging.pairs import pairs_in_words
 from photoreg.imaging.photo import Photo
 from photoreg.paper.reproduce import Reproduced, reproduce
 from photoreg.parameters.freedom import Freedom
 from photoreg.registration.config import PresetName, RegistrationConfig
 from photoreg.registration.events import Finished, Progress
 from photoreg.registration.refinement import refine
+from photoreg.registration.world import is_of_world_before, why_of_another_world
 from photoreg.synthetic.options import SceneOptions
 from photoreg.synthetic.scene import make_scene, write_scene
 from photoreg.texture.bake import BakingStep, TexturedMesh, baking
 from photoreg.texture.blend import TextureConfig
+from photoreg.words import listed, nfc, percent
 
 MeshPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MESH")]
 PhotoPaths = Annotated[
@@ -64,6 +69,7 @@ def commands(argv: Sequence[str] = ()) -> dict[str, Callable[..., int]]:
         "evaluate": evaluate_command,
         "texture": texture_command,
         "convert": convert_command,
+        "undistort": undistort_command,
         "synthesize": synthesize_command,
         "reproduce": reproduce_command,
     }
@@ -91,33 +97,44 @@ def _refine_command(preset: RegistrationConfig) -> Callable[..., int]:
         cameras: Path,
         out: Path,
         preset: PresetName = "default",
+        only: tuple[str, ...] = (),
         lock: tuple[str, ...] = (),
         lock_focal: tuple[str, ...] = (),
         lock_principal_point: tuple[str, ...] = (),
         lock_pose: tuple[str, ...] = (),
+        lock_distortion: tuple[str, ...] = (),
         share_focal: tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]] = (),
+        cropped: tyro.conf.UseAppendAction[tuple[str, ...]] = (),
         overwrite: bool = False,
         json: bool = False,
         config: Annotated[RegistrationConfig, tyro.conf.arg(name="")] = preset,
     ) -> int:
         """Refine rough cameras until the photos agree over the whole surface.
 
+        One photo is compared with the surface itself, by its shading and outline.
+
         Ctrl-C writes the best cameras found so far.
 
         Args:
             mesh: The scanned surface: OBJ, PLY, STL, GLB or OFF.
-            photos: Two or more photos: JPEG, PNG, TIFF, WebP, HEIC, AVIF, JPEG XL or RAW.
-            cameras: Rough cameras to start from, in any format of `photoreg convert`.
+            photos: One or more photos: JPEG, PNG, TIFF, WebP, HEIC, AVIF, JPEG XL or RAW.
+            cameras: Rough cameras to start from, in any format that `photoreg convert` reads.
             out: Where the refined cameras go (.json).
-            preset: Where the options below start from: default; fast, for a look;
+            preset: What the options below default to: default; fast, for a quick look;
                 thorough, for very rough starts; paper, the paper's genetic algorithm.
+            only: Photos, by file name, to refine, as those that were added to a finished
+                set: all others stay as they are, to the last bit.
             lock: Photos, by file name, whose cameras are right and stay as they are;
                 the others are registered against them.
             lock_focal: Photos whose focal length stays as it is.
             lock_principal_point: Photos whose principal point stays as it is.
-            lock_pose: Photos whose camera stays where it stands and as it is turned.
+            lock_pose: Photos whose camera keeps its position and rotation.
+            lock_distortion: Photos whose lens distortion stays as the cameras have it.
             share_focal: Photos taken with one camera at one zoom: they get one focal
-                length. No names: all photos. Repeat it for another camera.
+                length, and one lens. No names: all photos. Repeat it for another camera.
+            cropped: Photos of which a part was cut off after they were taken, so that
+                their principal points may be far off the middle. Repeat it for another;
+                those whose EXIF tells it are known.
             overwrite: Also replace a file that photoreg did not make.
             json: Print the figures as JSON on standard output.
             config: How to refine.
@@ -130,15 +147,17 @@ def _refine_command(preset: RegistrationConfig) -> Callable[..., int]:
         names = [photo.name for photo in pictures]
         freedom = Freedom.of_photos(
             names,
-            lock=lock,
+            lock=_all_but(only, lock, names),
             lock_focal=lock_focal,
             lock_principal_point=lock_principal_point,
             lock_pose=lock_pose,
+            lock_distortion=lock_distortion,
             share_focal=share_focal,
+            cropped=[*cropped, *_cropped_by_exif(pictures, cropped)],
         )
         last, interrupted = _watch(surface, pictures, start, config, freedom)
         best = dict(zip(names, last.cameras, strict=True))
-        save_cameras(out, file.with_cameras(best), overwrite)
+        asked_for, out = out, _save_somewhere(out, file.with_cameras(best), overwrite)
         if interrupted:
             _log.print(f"Stopped. The best cameras so far are in {out}.")
         if isinstance(last, Finished):
@@ -152,6 +171,10 @@ def _refine_command(preset: RegistrationConfig) -> Callable[..., int]:
                 _log.print(last.verdict.sentence)
             for sentence in (*last.standard_errors, *last.undetermined):
                 _log.print(sentence)
+            if last.mesh_error is not None:
+                _log.print(last.mesh_error.in_words(surface.diagonal))
+            if told := pairs_in_words(names, last.pairs):
+                _log.print(told)
         if json:
             figures = {
                 field.name: getattr(last, field.name)
@@ -160,11 +183,79 @@ def _refine_command(preset: RegistrationConfig) -> Callable[..., int]:
             }
             if isinstance(last, Finished):
                 figures["expected_error_px"] = last.expected_error_px
+                figures["mesh_error"] = last.mesh_error and dataclasses.asdict(
+                    last.mesh_error
+                )
                 figures["verdict"] = last.verdict and dataclasses.asdict(last.verdict)
+                figures["pairs"] = [(names[i], names[k]) for i, k in last.pairs]
             _print_json({**figures, "stopped": interrupted, "out": str(out)})
+        if out != asked_for:
+            return 2
         return 1 if interrupted else 0
 
     return refine_command
+
+
+def _cropped_by_exif(photos: Sequence[Photo], named: Sequence[str]) -> list[str]:
+    """Names of photos that EXIF shows to be cropped and nobody named; each is told."""
+    names = [p.name for p in photos if p.is_cropped and p.name not in named]
+    for name in names:
+        _log.print(
+            f"Note: {name} was cropped, as its EXIF tells; its principal point may be far "
+            "off the middle.",
+            markup=False,
+        )
+    return names
+
+
+def _all_but(
+    only: Sequence[str], lock: Sequence[str], names: Sequence[str]
+) -> tuple[str, ...]:
+    """The photos to lock, where only some are to be refined."""
+    if not only:
+        return tuple(lock)
+    # Names are compared in one form of Unicode, as photos have them.
+    only = [nfc(name) for name in only]
+    for name in only:
+        if name not in names:
+            raise InputError(
+                f"There is no photo {name} to refine; there are {', '.join(names)}."
+            )
+    both = [name for name in only if name in {nfc(name) for name in lock}]
+    if both:
+        raise InputError(
+            f"{listed(both)} cannot be both refined (--only) and locked (--lock)."
+        )
+    return (*lock, *(name for name in names if name not in only))
+
+
+def _save_somewhere(out: Path, file: CameraFile, overwrite: bool) -> Path:
+    """Writes cameras that took long to find; returns where to.
+
+    If they cannot be written to ``out`` any more, because somebody else's file is there
+    by now or the folder is gone, they go beside it under a free name, or elsewhere.
+
+    Raises:
+        OutputError: if they can be written nowhere.
+    """
+    try:
+        save_cameras(out, file, overwrite)
+    except OutputError as error:
+        for folder in (out.parent, Path.cwd(), Path(tempfile.gettempdir())):
+            for number in range(2, 100):
+                beside = folder / f"{out.stem}-{number}{out.suffix}"
+                if os.path.lexists(beside):
+                    continue
+                with contextlib.suppress(OutputError):
+                    save_cameras(beside, file)
+                    _log.print(
+                        f"{error} The cameras were written to {beside} instead.",
+                        markup=False,
+                    )
+                    return beside
+                break
+        raise
+    return out
 
 
 def evaluate_command(
@@ -176,7 +267,7 @@ def evaluate_command(
 
     Args:
         mesh: The scanned surface.
-        cameras: The cameras to judge, in any format of `photoreg convert`.
+        cameras: The cameras to judge, in any format that `photoreg convert` reads.
         truth: The true cameras; photos are matched by name.
         json: Print the figures as JSON on standard output.
     """
@@ -242,13 +333,13 @@ def texture_command(
     Args:
         mesh: The scanned surface.
         photos: The photos to lay onto it.
-        cameras: Their refined cameras, in any format of `photoreg convert`.
+        cameras: Their refined cameras, in any format that `photoreg convert` reads.
         out: Where the model goes: .glb, all in one file; .obj, with MTL and PNG beside
             it; .ply, with a PNG.
         at_vertices: For .ply: colours at the vertices instead of a texture.
         picture: The texture as PNG, or as JPEG, which is several times smaller.
-        coverage: Also draw here (.png) which photo each texel is from, by hue, and how
-            well it is seen, by brightness.
+        coverage: Also write a picture (.png) of which photo each texel is from (hue) and
+            how well it is seen (brightness).
         overwrite: Also replace files that photoreg did not make.
         config: How the texture is made.
         json: Print the figures as JSON on standard output.
@@ -257,7 +348,10 @@ def texture_command(
     if coverage is not None:
         targets.append(check_suffix(coverage, (".png",)))
     check_outputs(targets, (mesh, *photos, cameras), overwrite)
-    surface, pictures, _, exact = _load_scene(mesh, photos, cameras, at_least=1)
+    surface, pictures, _, exact = _load_scene(mesh, photos, cameras)
+    why = why_of_another_world(surface, pictures, exact)
+    if why is not None:
+        raise InputError(why)
     # Once more: the mesh may have named a material and a texture of its own.
     check_outputs(targets, (mesh, *photos, cameras), overwrite)
     began = time.perf_counter()
@@ -273,18 +367,20 @@ def texture_command(
                     _log.print("Stopped. Nothing was written.")
                     return 1
     assert isinstance(textured, TexturedMesh)
-    written = save_textured(out, textured, at_vertices, picture, overwrite)
+    beside: dict[Path, Content] = {}
     if coverage is not None:
-        shown = encode_picture(textured.coverage_picture())
-        written += write_files({coverage: shown}, overwrite=overwrite)
+        beside[coverage] = encode_picture(textured.coverage_picture())
+    written = save_textured(out, textured, at_vertices, picture, overwrite, beside)
     elapsed_s = time.perf_counter() - began
     height, width = textured.texture.shape[:2]
     _log.print(
-        f"{textured.seen_share:.0%} of the surface is seen by a photo "
+        f"{percent(textured.seen_share)} of the surface is seen by a photo "
         f"({_shares(pictures, textured)}). Texture "
         f"{width}x{height}, {textured.layout_in_words}, {elapsed_s:.1f} s. "
         f"Written: {', '.join(str(path) for path in written)}."
     )
+    if told := _left_out(pictures, textured):
+        _log.print(told)
     if json:
         _print_json(
             {
@@ -299,6 +395,13 @@ def texture_command(
                         strict=True,
                     )
                 ),
+                "left_out_share_by_photo": dict(
+                    zip(
+                        (photo.name for photo in pictures),
+                        textured.left_out_share_by_photo,
+                        strict=True,
+                    )
+                ),
                 "elapsed_s": elapsed_s,
             }
         )
@@ -307,7 +410,19 @@ def texture_command(
 
 def _shares(photos: Sequence[Photo], textured: TexturedMesh) -> str:
     shares = zip(photos, textured.seen_share_by_photo, strict=True)
-    return ", ".join(f"{photo.name} {share:.0%}" for photo, share in shares)
+    return ", ".join(f"{photo.name} {percent(share)}" for photo, share in shares)
+
+
+def _left_out(photos: Sequence[Photo], textured: TexturedMesh) -> str:
+    """What was not painted because other photos disagree; empty if nothing."""
+    shares = zip(photos, textured.left_out_share_by_photo, strict=True)
+    parts = [f"{photo.name} {percent(share)}" for photo, share in shares if share > 0.0]
+    if not parts:
+        return ""
+    return (
+        "Not painted, because other photos show something else there, as where something "
+        f"stands before the object, of what each photo sees: {', '.join(parts)}."
+    )
 
 
 def synthesize_command(
@@ -341,7 +456,7 @@ def reproduce_command(
     Args:
         out: Folder for report.html, report.md, results.json and the figures.
         runs: Runs of each column of the paper's Table 1.
-        seed: Of the rough cameras and the searches.
+        seed: Seed of the rough cameras and the searches.
         overwrite: Also replace files in the folder that photoreg did not make.
     """
     with _bar() as bar, _asked_to_stop() as stop:
@@ -388,7 +503,7 @@ def run(argv: Sequence[str]) -> int:
     except MemoryError:
         return _refused(
             "There is not enough memory for this. Give smaller photos or a coarser mesh, "
-            "or end other programs."
+            "or close other programs."
         )
 
 
@@ -401,7 +516,7 @@ def _refused(sentence: str) -> int:
 def _in_words(error: OSError) -> str:
     if error.errno in (errno.EMFILE, errno.ENFILE):
         return (
-            "Too many files are open. End other programs, or raise the limit "
+            "Too many files are open. Close other programs, or raise the limit "
             "(ulimit -n), and try again."
         )
     what = "The output" if error.filename is None else error.filename
@@ -409,7 +524,7 @@ def _in_words(error: OSError) -> str:
 
 
 def _drop_output() -> None:
-    """Lets what is left of standard output go nowhere, lest its end fails once more."""
+    """Discards the rest of standard output, so that closing it does not fail again."""
     with contextlib.suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())
@@ -417,22 +532,42 @@ def _drop_output() -> None:
 
 
 def _load_scene(
-    mesh: Path, photos: Sequence[Path], cameras: Path, at_least: int = 2
+    mesh: Path, photos: Sequence[Path], cameras: Path
 ) -> tuple[Mesh, list[Photo], CameraFile, list[Camera]]:
-    if len(photos) < at_least:
-        raise InputError(
-            f"Give at least {at_least} photo{'s' * (at_least > 1)}; {len(photos)} came."
-        )
+    if not photos:
+        raise InputError("Give at least 1 photo, not 0.")
     file = read_cameras(cameras, photos=photos_by_name(photos))
-    for note in file.notes:
-        _log.print(f"Note: {note}", markup=False)
     surface = _surface(mesh)
     pictures = [load_photo(path) for path in photos]
+    file = _in_world_of(surface, pictures, file)
+    for note in file.notes:
+        _log.print(f"Note: {note}", markup=False)
     return surface, pictures, file, file.of_photos(pictures)
 
 
+def _in_world_of(mesh: Mesh, photos: Sequence[Photo], file: CameraFile) -> CameraFile:
+    """Cameras that a program moved, in the one of both worlds that the mesh is of."""
+    move = file.moved
+    if move is None:
+        return file
+    given = file.of_photos(photos)
+    is_before = is_of_world_before(
+        mesh, photos, given, [move.undone(camera) for camera in given]
+    )
+    if is_before is None:
+        return file
+    cameras = file.cameras
+    told = "they are taken as they stand, for the mesh is of that world"
+    if is_before:
+        cameras = {name: move.undone(camera) for name, camera in cameras.items()}
+        told = "this was undone, for the mesh is of the world before"
+    note = f"The cameras were moved to another world when their file was made; {told}."
+    notes = (note, *(other for other in file.notes if other != move.note))
+    return dataclasses.replace(file, cameras=cameras, notes=notes, moved=None)
+
+
 def _surface(path: Path) -> Mesh:
-    """The mesh of a file; what of it was left out is told."""
+    """The mesh of a file; prints a note for each thing that was left out."""
     surface = load_mesh(path)
     for note in surface.notes:
         _log.print(f"Note: {surface.name}: {note}", markup=False)

@@ -38,21 +38,22 @@ def convert_command(
     overwrite: bool = False,
     json: bool = False,
 ) -> int:
-    """Turn cameras of one program into those of another; say what is lost.
+    """Turn the cameras of one program into those of another; say what is lost.
 
-    A format is told by suffix or contents: cameras.json of photoreg, a COLMAP folder
+    The format is recognised by suffix or contents: photoreg's JSON, a COLMAP folder
     (binary, or text), nerfstudio's transforms.json, MeshLab's .mlp, a texrecon folder of
-    .cam, OpenCV's .yml, Bundler's .out, Blender's .py (written only).
+    .cam, OpenCV's .yml, Bundler's .out, Blender's .py (written only), Metashape's .xml
+    (read only).
 
     Args:
         cameras: A camera file, or a folder for COLMAP and texrecon.
         out: Where the cameras go; a folder for COLMAP and texrecon.
-        from_format: The format to read, where suffix and contents do not tell.
-        to_format: The format to write, where the path does not tell.
+        from_format: The format to read, if suffix and contents leave it open.
+        to_format: The format to write, if the path leaves it open.
         mesh: The mesh that the cameras look at; a MeshLab project names it.
         photos: The photos, or their folder: MeshLab may need padded copies, Bundler and
             texrecon their sizes.
-        overwrite: Also replace files that photoreg did not make, or cannot tell.
+        overwrite: Also replace files that photoreg did not make, or cannot recognise.
         json: Print what was written and lost as JSON on standard output.
     """
     source = camera_format(from_format) if from_format else format_to_read(cameras)
@@ -76,15 +77,15 @@ def convert_command(
     notes = list(file.notes)
     if not paths and source.is_of_stored_pixels != target.is_of_stored_pixels:
         notes.append(
-            "The photos were not given, so whether EXIF turns them is not known; if it "
-            "does, give them by --photos."
+            "The photos were not given, so it is not known whether EXIF rotates them; if "
+            "it does, pass them with --photos."
         )
     for note in notes:
         _log.print(f"Note: {note}", markup=False)
     for loss in saved.losses:
         _log.print(f"Lost: {loss}", markup=False)
     if not saved.losses:
-        _log.print("Nothing of these cameras is lost.")
+        _log.print("Nothing is lost.")
     if json:
         figures = {
             "from": source.name,
@@ -101,8 +102,7 @@ def convert_command(
 def _formats_in_words() -> str:
     """What each format keeps and loses, a line each, as the Export tab says it."""
     return "\n".join(
-        f"    - {name}: {known.keeps} {known.loses}"
-        for name, known in CAMERA_FORMATS.items()
+        f"    - {name}: {known.in_words}" for name, known in CAMERA_FORMATS.items()
     )
 
 

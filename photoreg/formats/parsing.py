@@ -10,6 +10,7 @@ from photoreg.checks import check_input_file
 from photoreg.errors import InputError
 from photoreg.formats.cameras.camera_set import MAX_SIDE_PX
 from photoreg.geometry.camera import Camera
+from photoreg.geometry.lens import IDEAL, Lens
 from photoreg.limits import Limits
 from photoreg.sources import read_regular
 
@@ -113,8 +114,26 @@ def size_px(width: object, height: object, where: str) -> tuple[int, int]:
     return size
 
 
+def lens_of(where: str, *terms: float) -> Lens:
+    """A lens of k1, k2, p1, p2, k3; what is wrong with it is told with ``where``.
+
+    Raises:
+        InputError: if the numbers are not those of a lens.
+    """
+    try:
+        return Lens(*terms)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
+
+
 def camera_of(
-    where: str, K: object, R: object, t: object, width: int, height: int
+    where: str,
+    K: object,
+    R: object,
+    t: object,
+    width: int,
+    height: int,
+    lens: Lens = IDEAL,
 ) -> Camera:
     """A camera; what is wrong with it is told with ``where`` it was read.
 
@@ -122,15 +141,6 @@ def camera_of(
         InputError: if the numbers are not a camera.
     """
     try:
-        return Camera(K, R, t, width, height)  # pyright: ignore[reportArgumentType]
+        return Camera(K, R, t, width, height, lens)  # pyright: ignore[reportArgumentType]
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
-
-
-def refuse_distortion(coefficients: Iterable[float], where: str) -> None:
-    """Raises InputError if a lens distortion coefficient is not zero."""
-    if any(value != 0.0 for value in coefficients):
-        raise InputError(
-            f"{where} has lens distortion, which photoreg's cameras do not; undistort "
-            "the photos in the program that made this file and export again."
-        )

@@ -24,6 +24,9 @@ Content = bytes | str | Callable[[], bytes] | Path
 """Bytes; text, as UTF-8; what is large as a function, called when its turn has come;
 or a file to be copied."""
 
+NOTHING: Mapping[Path, Content] = {}
+"""No other files."""
+
 
 def write_files(
     contents: Mapping[Path, Content],

@@ -1,13 +1,22 @@
-"""A pinhole camera: projection, rays, and where it stands."""
+"""A camera: projection, rays, and where it stands."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Real
 
 from photoreg.checks import check_finite_array
 from photoreg.errors import InputError
+from photoreg.geometry.lens import IDEAL, Lens
+from photoreg.geometry.projection import (
+    CAMERA,
+    fill_record,
+    pixel_rays,
+    project_points,
+    unproject_pixels,
+)
 
 ORTHONORMAL_TOLERANCE = 1e-3
 """How far R^T R may be from the identity in a file before R is refused. Files hold
@@ -19,9 +28,24 @@ MAX_DISTANCE = 1e16
 """Largest number in t, as for the coordinates of a mesh."""
 
 
+def reduced_size(
+    width: int, height: int, max_side_px: int, least_px: int = 1
+) -> tuple[int, int]:
+    """Width and height reduced alike so that no side exceeds ``max_side_px``.
+
+    Args:
+        width: In pixels.
+        height: In pixels.
+        max_side_px: Of the longer side; what is smaller stays as it is.
+        least_px: The shorter side is not reduced below it.
+    """
+    scale = min(1.0, max_side_px / max(width, height))
+    return max(least_px, round(width * scale)), max(least_px, round(height * scale))
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Camera:
-    """A pinhole camera: x ~ K (R X + t).
+    """A camera: x ~ K (R X + t), bent by its lens.
 
     Axes: +x right, +y down, +z into the scene (OpenCV, COLMAP, viser).
     Pixel (0, 0) is the centre of the top-left pixel.
@@ -41,6 +65,8 @@ class Camera:
     """Photo width in pixels, as displayed (EXIF orientation applied)."""
     height: int
     """Photo height in pixels, as displayed."""
+    lens: Lens = IDEAL
+    """How the lens bends what K alone would show."""
 
     def __post_init__(self) -> None:
         K = check_finite_array(self.K, (3, 3), "K")
@@ -60,8 +86,8 @@ class Camera:
         for name, values, most in (("K", K, MAX_FOCAL_PX), ("t", t, MAX_DISTANCE)):
             if np.abs(values).max() > most:
                 raise InputError(
-                    f"{name} holds {np.abs(values).max():.3g}; up to {most:g} can be "
-                    "reckoned with."
+                    f"{name} holds {np.abs(values).max():.3g}; the largest "
+                    f"possible is {most:g}."
                 )
         defect = float(np.abs(R.T @ R - np.eye(3)).max())
         if defect > ORTHONORMAL_TOLERANCE or np.linalg.det(R) < 0.0:
@@ -89,9 +115,26 @@ class Camera:
         """Camera centre C = -R^T t in world axes."""
         return -self.R_cam_world.T @ self.t_cam_world
 
+    @functools.cached_property
+    def record(self) -> np.void:
+        """The camera for compiled code; see ``projection``."""
+        record = np.zeros(1, CAMERA)[0]
+        return fill_record(
+            record, self.K, self.R_cam_world, np.zeros(3), self.t_cam_world, self.lens
+        )
+
+    @property
+    def pinhole(self) -> "Camera":
+        """The camera without its lens: that of the photo undistorted."""
+        return self if self.lens.is_ideal else dataclasses.replace(self, lens=IDEAL)
+
+    def with_lens(self, lens: Lens) -> "Camera":
+        """The same camera behind another lens."""
+        return self if lens == self.lens else dataclasses.replace(self, lens=lens)
+
     @property
     def P(self) -> Float[np.ndarray, "3 4"]:
-        """Projection matrix K [R | t]."""
+        """Projection matrix K [R | t]: what the camera would do without its lens."""
         return self.K @ np.column_stack([self.R_cam_world, self.t_cam_world])
 
     @property
@@ -109,12 +152,20 @@ class Camera:
         return [row + t for row, t in zip(rows, self.t_cam_world, strict=True)]
 
     def project(self, points_world: Float[np.ndarray, "n 3"]) -> np.ndarray:
-        """Pixels (n, 2) of world points; NaN for a point not in front of the camera."""
-        points_cam = self._camera_rows(points_world)
-        u, v, w = _products(self.K, points_cam)
-        w[~(points_cam[2] > 0.0)] = np.nan
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.column_stack([u / w, v / w])
+        """Pixels (n, 2) of world points.
+
+        NaN for a point that is not in front of the camera, or beyond its lens.
+        """
+        points_world = np.asarray(points_world, dtype=np.float64)
+        return project_points(self.record, points_world)
+
+    def undistort(self, pixels: Float[np.ndarray, "n 2"]) -> np.ndarray:
+        """Where an ideal lens would show what is at pixels; NaN where nothing is."""
+        pixels = np.asarray(pixels, dtype=np.float64)
+        if self.lens.is_ideal:
+            return pixels
+        ideal = unproject_pixels(self.record, pixels)
+        return ideal @ self.K[:2, :2].T + self.K[:2, 2]
 
     def contains(self, pixels: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         """Whether pixels lie within the photo, between centres of border pixels."""
@@ -122,12 +173,11 @@ class Camera:
         return (x >= 0) & (x <= self.width - 1) & (y >= 0) & (y <= self.height - 1)
 
     def rays(
-        self, pixels: Float[np.ndarray, "n 2"]
+        self, pixels: Real[np.ndarray, "n 2"]
     ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "n 3"]]:
         """The camera centre and unit directions (n, 3), in world axes, of pixels."""
         pixels = np.asarray(pixels, dtype=np.float64)
-        homogeneous = np.column_stack([pixels, np.ones(len(pixels))])
-        directions = homogeneous @ np.linalg.inv(self.K).T @ self.R_cam_world
+        directions = pixel_rays(self.record, pixels)
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         return self.center, directions
 
@@ -141,6 +191,12 @@ class Camera:
             [[sx, 0.0, 0.5 * sx - 0.5], [0.0, sy, 0.5 * sy - 0.5], [0.0, 0.0, 1.0]]
         )
         return dataclasses.replace(self, K=S @ self.K, width=width, height=height)
+
+    def reduced(self, max_side_px: int, least_px: int = 2) -> "Camera":
+        """The camera of the photo reduced as by `reduced_size`."""
+        return self.resized(
+            *reduced_size(self.width, self.height, max_side_px, least_px)
+        )
 
     @classmethod
     def look_at(

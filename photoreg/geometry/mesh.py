@@ -5,9 +5,11 @@ import functools
 from typing import Any
 
 import numpy as np
+import scipy.sparse
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
 from jaxtyping import Bool, Float, Int, UInt8
+from scipy.sparse.csgraph import connected_components
 
 from photoreg.checks import check_points
 from photoreg.errors import InputError
@@ -20,6 +22,11 @@ _HASH_FACTORS = np.array(
 
 MAX_COORDINATE = 1e15
 """Largest coordinate of a vertex: areas and volumes must not overflow."""
+
+TOLERANCE = 1e-4
+"""How far behind what hides it a point may lie and still be seen, relative to the mesh's
+diagonal: its own face must not hide it, but the other side of a thin wall must. Embree's
+single precision errs by 1e-5 at most from as far as a hundred diagonals."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -59,7 +66,7 @@ class Mesh:
         if faces.ndim != 2 or faces.shape[1] != 3 or len(faces) == 0:
             raise InputError(
                 f"{self.name} has no triangles ({len(vertices)} vertices only); "
-                "photographs need a surface. Triangulate the point cloud first."
+                "photographs need a surface. Make a mesh of the points first."
             )
         if faces.min() < 0 or faces.max() >= len(vertices):
             wrong = faces.max() if faces.max() >= len(vertices) else faces.min()
@@ -74,8 +81,8 @@ class Mesh:
         object.__setattr__(self, "faces", faces)
         if not np.abs(vertices).max() < MAX_COORDINATE:
             raise InputError(
-                f"{self.name} has coordinates up to {np.abs(vertices).max():.3g}; up to "
-                f"{MAX_COORDINATE:g} can be reckoned with. Is a vertex damaged?"
+                f"{self.name} has coordinates up to {np.abs(vertices).max():.3g}; the "
+                f"largest possible is {MAX_COORDINATE:g}. Is a vertex damaged?"
             )
         if not self.area > 0.0:
             raise InputError(
@@ -126,6 +133,22 @@ class Mesh:
             self.vertices, axis=0, return_index=True, return_inverse=True
         )
         return index[inverse.ravel()]
+
+    @functools.cached_property
+    def face_part(self) -> Int[np.ndarray, "m"]:
+        """Number of the part each face belongs to: those that hang together by edges."""
+        corners = self.position_index[self.faces]
+        start, end = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
+        key = np.minimum(start, end) * len(self.vertices) + np.maximum(start, end)
+        order = np.argsort(key, kind="stable")
+        face = order // 3
+        same = key[order[1:]] == key[order[:-1]]
+        m = len(self.faces)
+        graph = scipy.sparse.coo_array(
+            (np.ones(same.sum(), dtype=np.int8), (face[:-1][same], face[1:][same])),
+            shape=(m, m),
+        )
+        return connected_components(graph, directed=False)[1].astype(np.int64)
 
     @functools.cached_property
     def is_border_face(self) -> Bool[np.ndarray, "m"]:
@@ -210,10 +233,19 @@ class Mesh:
         """Casts rays; returns the face met first (-1: none) and its distance.
 
         Distances are in units of each direction's length; infinity where nothing
-        is hit. Precision is float32 relative to the mesh's diagonal, about 1e-6.
+        is hit. Precision is float32 relative to the mesh's diagonal, about 1e-6. A ray
+        that is NaN, as of a pixel where a lens shows nothing, hits nothing.
         """
         scene, origin, scale = self._ray_frame
         lengths = np.linalg.norm(directions, axis=1)
+        if not np.isfinite(lengths).all():
+            exists = np.isfinite(lengths)
+            face = np.full(len(directions), -1)
+            distance = np.full(len(directions), np.inf)
+            face[exists], distance[exists] = self.first_hits(
+                origins[exists], directions[exists]
+            )
+            return face, distance
         result = scene.run(
             np.ascontiguousarray((origins - origin) * scale, dtype=np.float32),
             np.ascontiguousarray(directions / lengths[:, None], dtype=np.float32),
@@ -225,21 +257,18 @@ class Mesh:
         return face, distance
 
     def is_unoccluded(
-        self,
-        points: Float[np.ndarray, "n 3"],
-        viewpoint: Float[np.ndarray, "3"],
-        tolerance: float = 1e-3,
+        self, points: Float[np.ndarray, "n 3"], viewpoint: Float[np.ndarray, "3"]
     ) -> Bool[np.ndarray, "n"]:
         """Whether the segment from each surface point to ``viewpoint`` is free.
 
-        The ray runs from the viewpoint to the point, short of it by ``tolerance``
+        The ray runs from the viewpoint to the point, short of it by ``TOLERANCE``
         times the mesh's diagonal, so the point's own face does not hide it.
         """
         scene, origin, scale = self._ray_frame
         start = (np.asarray(viewpoint) - origin) * scale
         rays = (points - origin) * scale - start
         lengths = np.linalg.norm(rays, axis=1)
-        reach = np.maximum(lengths - 2.0 * tolerance, 0.0)
+        reach = np.maximum(lengths - 2.0 * TOLERANCE, 0.0)
         hit = scene.run(
             np.ascontiguousarray(np.broadcast_to(start, rays.shape), dtype=np.float32),
             np.ascontiguousarray(rays / lengths[:, None], dtype=np.float32),

@@ -4,12 +4,13 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.sampling import sample_surface
+from photoreg.geometry.visibility import seen_points
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,16 +125,3 @@ class Truth:
             max=float(distances.max()),
             n_points=len(distances),
         )
-
-
-def seen_points(
-    mesh: Mesh, camera: Camera, points: Float[np.ndarray, "n 3"]
-) -> Bool[np.ndarray, "n"]:
-    """Whether surface points are in the camera's frame and not hidden, by rays.
-
-    No normals are asked: the surface itself hides its back, and a scan whose faces
-    are turned inside out is measured all the same.
-    """
-    seen = camera.contains(camera.project(points))
-    seen[seen] = mesh.is_unoccluded(points[seen], camera.center)
-    return seen

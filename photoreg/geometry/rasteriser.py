@@ -16,8 +16,10 @@ import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from photoreg.geometry.bent_faces import bent_faces
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
+from photoreg.geometry.projection import unproject
 
 NEAR = 1e-6
 """Nearest depth drawn, relative to the mesh's diagonal."""
@@ -42,11 +44,7 @@ class GeometryBuffer:
     @functools.cached_property
     def points(self) -> Float[np.ndarray, "h w 3"]:
         """Surface point at each pixel in world axes, float64; NaN where there is none."""
-        return _points_at_pixels(
-            self.depth,
-            np.linalg.inv(self.camera.K @ self.camera.R_cam_world),
-            self.camera.center,
-        )
+        return _points_at_pixels(self.depth, self.camera.record, self.camera.center)
 
 
 def scaled_camera(camera: Camera, width: int | None) -> Camera:
@@ -72,14 +70,15 @@ def render_geometry(
         to one of the edge's faces, so closed surfaces have no cracks.
     """
     camera = scaled_camera(camera, width)
-    face_index, depth = rasterise(
-        mesh.vertices,
-        mesh.faces,
-        camera.P,
-        NEAR * mesh.diagonal,
-        camera.width,
-        camera.height,
-    )
+    near, size = NEAR * mesh.diagonal, (camera.width, camera.height)
+    if camera.lens.is_ideal:
+        face_index, depth = rasterise(mesh.vertices, mesh.faces, camera.P, near, *size)
+    else:
+        pixels, pieces, source = bent_faces(
+            mesh.vertices, mesh.faces, camera.record, near, *size
+        )
+        piece, depth = rasterise_pixels(pixels, pieces, near, *size)
+        face_index = np.append(source, np.int32(-1))[piece]
     return GeometryBuffer(camera, face_index, depth)
 
 
@@ -113,7 +112,12 @@ def rasterise(  # noqa: ANN201 - numba infers the types.
         x, y, z = vertices[i, 0], vertices[i, 1], vertices[i, 2]
         for row in range(3):
             pixels[i, row] = P[row, 0] * x + P[row, 1] * y + P[row, 2] * z + P[row, 3]
+    return rasterise_pixels(pixels, faces, near, width, height)
 
+
+@nb.njit(nogil=True, cache=True)
+def rasterise_pixels(pixels, faces, near, width, height):  # noqa: ANN001, ANN201
+    """As ``rasterise``, of vertices that are homogeneous pixels (n, 3), depth last."""
     face_index = np.full((height, width), -1, dtype=np.int32)
     # Nearest so far as inverse depth, which is linear in the picture; 0 is nowhere.
     nearness = np.zeros((height, width), dtype=np.float32)
@@ -225,18 +229,18 @@ def _bounds(a, b, c, near):  # noqa: ANN001, ANN202
 
 
 @nb.njit(nogil=True, cache=True)
-def _points_at_pixels(depth, A_world_pixel, center):  # noqa: ANN001, ANN202
-    """X = C + z (K R)^-1 (x, y, 1) at each pixel; NaN where depth is infinite."""
+def _points_at_pixels(depth, camera, center):  # noqa: ANN001, ANN202
+    """X = C + z R^T (x, y, 1) at each pixel; NaN where depth is infinite."""
     height, width = depth.shape
+    R = camera.R
     points = np.full((height, width, 3), np.nan)
-    for y in range(height):
-        for x in range(width):
-            z = depth[y, x]
+    for row in range(height):
+        for column in range(width):
+            z = depth[row, column]
             if z < np.inf:
-                for axis in range(3):
-                    points[y, x, axis] = center[axis] + z * (
-                        A_world_pixel[axis, 0] * x
-                        + A_world_pixel[axis, 1] * y
-                        + A_world_pixel[axis, 2]
+                x, y = unproject(camera, float(column), float(row))
+                for k in range(3):
+                    points[row, column, k] = center[k] + z * (
+                        R[0, k] * x + R[1, k] * y + R[2, k]
                     )
     return points

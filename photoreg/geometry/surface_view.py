@@ -6,12 +6,12 @@ import functools
 from collections.abc import Sequence
 
 import cv2
-import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
+from photoreg.geometry.projection import pixel_rays
 from photoreg.geometry.rasteriser import render_geometry
 
 JUMP_SLOPE = 12.0
@@ -57,23 +57,5 @@ def camera_rays(
     camera: Camera, pixels: Float[np.ndarray, "n 2"]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Origins and directions (n, 3), in world axes, of pixels; depth 1 along z."""
-    directions = pixel_rays(pixels, np.linalg.inv(camera.K), camera.R_cam_world)
+    directions = pixel_rays(camera.record, np.asarray(pixels, dtype=np.float64))
     return np.broadcast_to(camera.center, directions.shape), directions
-
-
-@nb.njit(cache=True, nogil=True)
-def pixel_rays(pixels, K_inverse, R_cam_world):  # noqa: ANN001, ANN201
-    """Directions in world axes of pixels (n, 2), with depth 1 along the camera's z.
-
-    Not parallel: helper threads call it, and only one thread may call what is.
-    """
-    out = np.zeros((len(pixels), 3))
-    for i in range(len(pixels)):
-        u, v = pixels[i, 0], pixels[i, 1]
-        y = K_inverse[1, 1] * v + K_inverse[1, 2]
-        x = K_inverse[0, 0] * u + K_inverse[0, 1] * v + K_inverse[0, 2]
-        for k in range(3):
-            out[i, k] = (
-                R_cam_world[0, k] * x + R_cam_world[1, k] * y + R_cam_world[2, k]
-            )
-    return out

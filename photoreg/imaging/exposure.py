@@ -1,4 +1,12 @@
-"""Gain and offset between photos, in closed form, compiled."""
+"""Gain and offset between photos: how far they may go, and in closed form, compiled.
+
+Each use has its own measure of the gain, for one cap: the search asks thousands of times
+a second, of cameras that are wrong, and takes this one of means and variances; the polish
+takes variances within cells (`photoreg.polish.photometric_term.exposure_gain`), as slow
+light would pass for contrast; the texture takes medians of all photos together
+(`photoreg.texture.blend.exposure_gains`); the picture of the disagreement takes medians
+of brightness, without an offset.
+"""
 
 import numba as nb
 import numpy as np
@@ -7,8 +15,9 @@ FASTMATH = {"reassoc", "contract", "arcp", "nsz"}
 """Not "nnan": a point in a camera's plane gives NaN, and must compare as unseen."""
 
 MAX_GAIN = 2.0
-"""Exposure gains beyond this, or below its inverse, are clipped: the deviation of a
-channel without contrast is noise, and its ratio between photos means nothing."""
+"""Gains of a photo beyond this, or below its inverse, are clipped, so between two
+photos beyond its square, two stops: the deviation of a channel without contrast is
+noise, and its ratio between photos means nothing."""
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)

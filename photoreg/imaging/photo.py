@@ -1,16 +1,22 @@
 """A photograph: pixels as displayed, optional mask, and what EXIF knows of the lens."""
 
 import dataclasses
+import functools
+from typing import Any
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, UInt8
 
 from photoreg.errors import InputError
+from photoreg.geometry.camera import reduced_size
 from photoreg.sources import SourceFile
 from photoreg.words import nfc
 
 MIN_SIDE_PX = 16
+MAX_KEPT, MAX_KEPT_PIXELS = 4, 1 << 20
+"""Reductions that a photo keeps, and the pixels of the largest: 12 MB at most, beside
+the 36 MB of a photo of 12 megapixels."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -66,12 +72,42 @@ class Photo:
         """Height in pixels, as displayed."""
         return self.pixels.shape[0]
 
+    @functools.cached_property
+    def _reductions(self) -> dict[tuple[int, int], UInt8[np.ndarray, "h w 3"]]:
+        return {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Reductions are quicker made anew than sent to another process.
+        names = [field.name for field in dataclasses.fields(self)]
+        return {name: self.__dict__[name] for name in names}
+
+    def pixels_at(self, size: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]:
+        """The pixels averaged by area to width and height ``size``; not to be changed.
+
+        Small ones are kept: the terms of a refinement ask for the same few sizes again
+        and again.
+        """
+        if size == (self.width, self.height):
+            return self.pixels
+        kept = self._reductions.get(size)
+        if kept is not None:
+            return kept
+        pixels = cv2.resize(self.pixels, size, interpolation=cv2.INTER_AREA)
+        pixels = pixels.astype(np.uint8, copy=False)
+        if size[0] * size[1] <= MAX_KEPT_PIXELS:
+            self._reductions[size] = pixels
+            if len(self._reductions) > MAX_KEPT:
+                del self._reductions[next(iter(self._reductions))]
+        return pixels
+
     def resized(self, max_side_px: int) -> "Photo":
-        """The photo reduced (area-averaged) so that no side exceeds ``max_side_px``."""
-        scale = max_side_px / max(self.width, self.height)
-        if scale >= 1.0:
+        """The photo reduced (area-averaged) so that no side exceeds ``max_side_px``.
+
+        The shorter side keeps 16 pixels: a long, narrow photo stays a photo.
+        """
+        size = reduced_size(self.width, self.height, max_side_px, MIN_SIDE_PX)
+        if size == (self.width, self.height):
             return self
-        size = (max(1, round(self.width * scale)), max(1, round(self.height * scale)))
         mask = self.mask
         if mask is not None:
             mask = (
@@ -80,7 +116,7 @@ class Photo:
             )
         return dataclasses.replace(
             self,
-            pixels=cv2.resize(self.pixels, size, interpolation=cv2.INTER_AREA),
+            pixels=self.pixels_at(size),
             mask=mask,
             exif_focal_px=None
             if self.exif_focal_px is None

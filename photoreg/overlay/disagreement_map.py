@@ -8,7 +8,8 @@ from jaxtyping import Bool, Float, UInt8
 
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
-from photoreg.geometry.rasteriser import render_geometry
+from photoreg.geometry.visibility import seen_points
+from photoreg.imaging.exposure import MAX_GAIN
 from photoreg.imaging.photo import Photo
 from photoreg.overlay.pictures import AlignedPair
 
@@ -22,10 +23,6 @@ UNSEEN_SHADE = 0.25
 """Brightness left to a photo where nothing is compared."""
 
 CLAY = (128, 118, 108)
-DEPTH_SIDE_PX = 256
-DEPTH_TOLERANCE = 0.01
-"""How far behind the surface a vertex may lie and still be seen, as a share of the
-object's diagonal: the depth is that of pixels about so wide."""
 MIN_COSINE = 0.2
 
 
@@ -111,24 +108,9 @@ class SurfaceSight:
         at = camera.project(mesh.vertices)
         to_camera = camera.center - mesh.vertices
         cosine = np.einsum("nd,nd->n", self._normals, to_camera)
-        # A scan turned inside out is seen all the same; the depth tells what hides.
+        # A scan turned inside out is seen all the same; rays tell what hides.
         cosine = np.abs(cosine) / np.linalg.norm(to_camera, axis=1)
-        scale = DEPTH_SIDE_PX / max(camera.width, camera.height)
-        coarse = render_geometry(mesh, camera, max(2, round(scale * camera.width)))
-        height, width = coarse.depth.shape
-        inside = camera.contains(at)
-        spot = coarse.camera.project(mesh.vertices[inside])
-        column = np.clip(np.rint(spot[:, 0]).astype(int), 0, width - 1)
-        row = np.clip(np.rint(spot[:, 1]).astype(int), 0, height - 1)
-        # The farthest around: at a slant depth changes from pixel to pixel.
-        far = cv2.dilate(
-            np.where(np.isfinite(coarse.depth), coarse.depth, 0.0).astype(np.float32),
-            np.ones((3, 3), np.uint8),
-        )
-        depth = camera.to_camera(mesh.vertices[inside])[:, 2]
-        hidden = depth > far[row, column] + DEPTH_TOLERANCE * mesh.diagonal
-        seen = np.zeros(len(at), dtype=bool)
-        seen[inside] = ~hidden
+        seen = seen_points(mesh, camera, mesh.vertices)
         if photo.mask is not None:
             column, row = np.rint(at[seen]).astype(int).T
             inner = photo.mask[
@@ -177,4 +159,6 @@ def _gains(base: np.ndarray, other: np.ndarray) -> np.ndarray:
     # Every seventh is enough for a median.
     ours = np.median(base[::7].astype(np.float32), axis=0)
     theirs = np.median(other[::7].astype(np.float32), axis=0)
-    return np.clip(np.maximum(ours, 1.0) / np.maximum(theirs, 1.0), 0.25, 4.0)
+    return np.clip(
+        np.maximum(ours, 1.0) / np.maximum(theirs, 1.0), MAX_GAIN**-2, MAX_GAIN**2
+    )

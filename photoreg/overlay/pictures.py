@@ -19,6 +19,8 @@ from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.rasteriser import render_geometry
 from photoreg.imaging.photo import Photo
+from photoreg.imaging.undistort import undistorted_photo
+from photoreg.overlay.surface_lines import shaded_normals
 
 MIN_COSINE = 0.15
 """Surface seen at a flatter angle (81 degrees and more from its normal) is left out:
@@ -64,7 +66,8 @@ class LiveOverlay:
     """Overlays of the same photos on the same mesh under changing cameras.
 
     What does not change is prepared once: photos reduced to the picture's size, their
-    masks, a mesh of no more faces than such a picture can show.
+    masks, a mesh of no more faces than such a picture can show. The pictures are
+    undistorted, as the cameras of the moment have it.
     """
 
     def __init__(
@@ -96,7 +99,8 @@ class LiveOverlay:
         grown = cv2.resize(picture, size, interpolation=cv2.INTER_LINEAR)
         # Linear, so that no unseen black is mixed into what counts as seen.
         whole = cv2.resize(255 * seen.astype(np.uint8), size) == 255
-        return AlignedPair(below.pixels, grown, whole)
+        base = undistorted_photo(below, cameras[onto])
+        return AlignedPair(base.pixels, grown, whole)
 
     def pair(self, cameras: Sequence[Camera], onto: int, carried: int) -> AlignedPair:
         """Photo ``carried`` as seen from the camera of photo ``onto``.
@@ -110,7 +114,15 @@ class LiveOverlay:
             self.mesh, self.photos[carried], cameras[carried],
             _sized_like(cameras[onto], self.photos[onto]),
         )  # fmt: skip
-        return AlignedPair(self.photos[onto].pixels, picture, seen)
+        base = undistorted_photo(self.photos[onto], cameras[onto])
+        return AlignedPair(base.pixels, picture, seen)
+
+    def shape_pair(self, cameras: Sequence[Camera], onto: int) -> AlignedPair:
+        """One photo and, in place of another, the surface coloured by its normals."""
+        photo, camera = self.photos[onto], cameras[onto]
+        shape = shaded_normals(self.mesh, photo, camera, 1.0)
+        seen = render_geometry(self.mesh, _sized_like(camera, photo).pinhole).covered
+        return AlignedPair(undistorted_photo(photo, camera).pixels, shape, seen)
 
     def picture(
         self,
@@ -137,7 +149,8 @@ def carry_over(
         mesh: The surface.
         photo_from: The photo to carry over; outside its mask nothing is taken.
         camera_from: Its camera, for its full size.
-        camera_to: Where the surface is looked at from, for its own photo's full size.
+        camera_to: Where the surface is looked at from, for its own photo's full size;
+            its lens does not count.
         max_side_px: Longer side of the picture made; a smaller photo is not enlarged.
 
     Returns:
@@ -145,14 +158,11 @@ def carry_over(
         mesh, occluded in the photo, nearly edge-on in it, outside it or its mask, or
         within a pixel of a silhouette, where the photo mixes two surfaces.
     """
-    scale = min(1.0, max_side_px / max(camera_to.width, camera_to.height))
-    width = max(1, round(camera_to.width * scale))
-    height = max(1, round(camera_to.height * scale))
     return _carry(
         mesh,
         photo_from.resized(max_side_px),
         camera_from,
-        camera_to.resized(width, height),
+        camera_to.reduced(max_side_px, least_px=1),
     )
 
 
@@ -313,7 +323,9 @@ def _carry(
     mesh: Mesh, photo_from: Photo, camera_from: Camera, camera_to: Camera
 ) -> tuple[np.ndarray, np.ndarray]:
     """As `carry_over`, with the photo and the destination at their final sizes."""
-    camera_from = _sized_like(camera_from, photo_from)
+    photo_from = undistorted_photo(photo_from, camera_from)
+    camera_from = _sized_like(camera_from, photo_from).pinhole
+    camera_to = camera_to.pinhole
     shown = render_geometry(mesh, camera_to)
     source = render_geometry(mesh, camera_from)
     mask = photo_from.mask

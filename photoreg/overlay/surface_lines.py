@@ -12,7 +12,9 @@ from jaxtyping import Float, UInt8
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.rasteriser import render_geometry
+from photoreg.geometry.visibility import seen_points
 from photoreg.imaging.photo import Photo
+from photoreg.imaging.undistort import undistorted_photo
 
 MIN_CREASE_DEG = 30.0
 """Faces that meet at a smaller angle are one smooth surface."""
@@ -20,13 +22,6 @@ MIN_CREASE_DEG = 30.0
 MAX_CREASE_SHARE = 0.04
 """Of all edges at most this share are creases, the sharpest: every edge of a rough scan
 bends by more than 30 degrees, and would hide the photo."""
-
-DEPTH_SIDE_PX = 1024
-"""Longer side of the depth buffer that tells what is hidden."""
-
-DEPTH_TOLERANCE = 4e-3
-"""How far behind the depth buffer a line may lie, relative to the mesh's diagonal: the
-surface falls away within the pixel beside a silhouette."""
 
 
 class SurfaceLines:
@@ -65,36 +60,15 @@ class SurfaceLines:
         drawn = (front[:, 0] != front[:, 1]) | self._always | self._crease
         chosen = np.flatnonzero(drawn)
         segments = mesh.vertices[self.edges[chosen]]
-        return segments[self._is_seen(segments.mean(axis=1), camera)]
-
-    def _is_seen(self, points: np.ndarray, camera: Camera) -> np.ndarray:
-        """Whether points are in the photo and nothing of the surface is before them."""
-        if not len(points):
-            return np.zeros(0, dtype=bool)
-        scale = min(1.0, DEPTH_SIDE_PX / max(camera.width, camera.height))
-        small = camera.resized(
-            max(2, round(camera.width * scale)), max(2, round(camera.height * scale))
-        )
-        depth = render_geometry(self.mesh, small).depth
-        pixels = small.project(points)
-        inside = small.contains(np.nan_to_num(pixels, nan=-1.0))
-        x, y = np.rint(np.where(inside[:, None], pixels, 0.0)).astype(int).T
-        height, width = depth.shape
-        # A silhouette falls between a pixel of the surface and one behind it.
-        farthest = np.zeros(len(points), dtype=np.float32)
-        for down in (-1, 0, 1):
-            for right in (-1, 0, 1):
-                rows = np.clip(y + down, 0, height - 1)
-                columns = np.clip(x + right, 0, width - 1)
-                farthest = np.maximum(farthest, depth[rows, columns])
-        slack = DEPTH_TOLERANCE * self.mesh.diagonal
-        return inside & (small.to_camera(points)[:, 2] <= farthest + slack)
+        return segments[seen_points(mesh, camera, segments.mean(axis=1))]
 
 
 def shaded_normals(
     mesh: Mesh, photo: Photo, camera: Camera, share: float = 0.7
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """The photo with the surface over it, coloured by its normals as ``camera`` sees it.
+    """The photo, undistorted, with the surface over it, coloured by its normals.
+
+    They are as ``camera`` sees them.
 
     Red grows to the right, green upwards, blue towards the camera: relief shows
     whatever the light in the photo was.
@@ -105,7 +79,8 @@ def shaded_normals(
         camera: Its camera, for whatever size.
         share: How much of the normals is mixed in, in [0, 1].
     """
-    camera = camera.resized(photo.width, photo.height)
+    photo = undistorted_photo(photo, camera)
+    camera = camera.resized(photo.width, photo.height).pinhole
     face_index = render_geometry(mesh, camera).face_index
     to_camera = camera.center - mesh.vertices[mesh.faces[:, 0]]
     # Meshes of scans may be wound inwards: the side that is seen counts.

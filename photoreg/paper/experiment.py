@@ -36,7 +36,7 @@ class Method:
     """What the paper says of it: a figure or a few words; empty where it is silent."""
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class MethodRun:
     """One method from one manual start."""
 
@@ -281,15 +281,15 @@ def _one(
     seconds = time.perf_counter() - began
     kept = sorted({round(k) for k in np.linspace(0, len(path) - 1, PATH_STEPS)})
     return MethodRun(
-        row.table,
-        row.name,
-        number,
-        error_px(start),
-        error_px(cameras),
-        cost,
-        seconds,
-        evaluations,
-        tuple((path[k][0], error_px(path[k][1], 2_000)) for k in kept if path),
+        table=row.table,
+        method=row.name,
+        run=number,
+        start_px=error_px(start),
+        end_px=error_px(cameras),
+        cost=cost,
+        seconds=seconds,
+        evaluations=evaluations,
+        path=tuple((path[k][0], error_px(path[k][1], 2_000)) for k in kept if path),
     )
 
 

@@ -63,7 +63,7 @@ class Setup:
     """Name and JPEG bytes of each photo."""
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Row:
     """One method over its runs."""
 
@@ -87,14 +87,14 @@ def summed_up(runs: Sequence[MethodRun], paper: dict[tuple[str, str], str]) -> d
             errors = np.array([run.end_px for run in mine])
             tables.setdefault(key, []).append(
                 Row(
-                    method,
-                    len(mine),
-                    float(errors.mean()),
-                    float(errors.std()),
-                    float(errors.max()),
-                    float(np.mean([run.seconds for run in mine])),
-                    round(np.mean([run.evaluations for run in mine])),
-                    paper.get((key, method), ""),
+                    method=method,
+                    n_runs=len(mine),
+                    mean_px=float(errors.mean()),
+                    std_px=float(errors.std()),
+                    worst_px=float(errors.max()),
+                    seconds=float(np.mean([run.seconds for run in mine])),
+                    evaluations=round(np.mean([run.evaluations for run in mine])),
+                    paper=paper.get((key, method), ""),
                 )
             )
     return tables

@@ -4,10 +4,9 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import cv2
-
 from photoreg.errors import InputError, OutputError
 from photoreg.formats.writing import check_outputs
+from photoreg.imaging.encoding import encode_jpeg
 from photoreg.paper.experiment import Method, MethodRun, count, methods, runs
 from photoreg.paper.report import Setup, report_files, write_report
 from photoreg.paper.report_plots import check_plots
@@ -110,7 +109,9 @@ def _steps(
         paper.samples,
         generations,
         paper.genetic.restarts,
-        tuple((photo.name, _jpeg(photo.pixels)) for photo in scene.photos),
+        tuple(
+            (photo.name, encode_jpeg(photo.pixels, 88, 640)) for photo in scene.photos
+        ),
     )
     said = {(row.table, row.name): row.paper for row in rows}
     paths = write_report(folder, setup, done, said, overwrite)
@@ -131,11 +132,3 @@ def _writable(folder: Path, n_photos: int, overwrite: bool) -> Path:
         ) from error
     check_outputs(report_files(folder, n_photos), overwrite=overwrite)
     return folder
-
-
-def _jpeg(pixels: "cv2.typing.MatLike") -> bytes:
-    """A picture of 640 px for the report."""
-    scale = min(1.0, 640 / max(pixels.shape[:2]))
-    small = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    _, data = cv2.imencode(".jpg", small[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])
-    return data.tobytes()

@@ -5,13 +5,9 @@ the bounds of the polish are where a camera stops being one of the same photo.
 """
 
 import dataclasses
+import math
 
-import numpy as np
-from jaxtyping import Float
-
-from photoreg.geometry.camera import MAX_FOCAL_PX, Camera
-
-MAX_TURN_RAD = 0.5 * np.pi
+MAX_TURN_RAD = 0.5 * math.pi
 MAX_SHIFT_SHARE = 0.75
 MAX_FOCAL_FACTOR = 4.0
 MAX_PRINCIPAL_SHARE = 0.5
@@ -19,6 +15,8 @@ MAX_PRINCIPAL_SHARE = 0.5
 shift along each as a share of the distance, the focal length up or down, the principal
 point as a share of the photo's size. It can still be a camera of the same photo there;
 beyond, the object is behind it, or numbers overflow."""
+MAX_LENS_TERM = 1.0
+"""How far a term of the lens may go: ten times what phones and action cameras have."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,23 +36,23 @@ class PriorScales:
     principal_point: float = 0.005
     """Principal point, as a share of the photo's width and height."""
 
+    def cropped(self) -> "PriorScales":
+        """Those of a photo that was cropped; see ``CROPPED_PRINCIPAL``."""
+        return PriorScales(
+            rotation_deg=CROPPED_ROTATION * self.rotation_deg,
+            translation=CROPPED_REST * self.translation,
+            focal=CROPPED_REST * self.focal,
+            principal_point=CROPPED_PRINCIPAL * self.principal_point,
+        )
 
-def farthest_from(base: Camera, distance: float) -> Float[np.ndarray, "9"]:
-    """How far the polish may take a camera from ``base``, in the order of the increments.
 
-    Args:
-        base: The camera at the start.
-        distance: From its centre to the pivot of its rotation, in model units.
+CROPPED_PRINCIPAL, CROPPED_ROTATION, CROPPED_REST = 24.0, 2.0, 1.5
+"""How much wider the intervals of principal point, rotation and all else are where a
+photo was cropped: its principal point may be a third of the photo off, and the rest was
+aligned with a wrong one."""
 
-    Returns:
-        The turn about each axis in radians, the shift along each in model units, the
-        logarithm of the focal length's factor, and the principal point's way in pixels.
-    """
-    # No base comes near to it but one that is absurd already.
-    focal = min(MAX_FOCAL_FACTOR, MAX_FOCAL_PX / float(np.abs(base.K[:2, :2]).max()))
-    return np.array(
-        [MAX_TURN_RAD] * 3
-        + [MAX_SHIFT_SHARE * distance] * 3
-        + [np.log(focal)]
-        + [MAX_PRINCIPAL_SHARE * base.width, MAX_PRINCIPAL_SHARE * base.height]
-    )
+
+LENS_SIGMAS = {"k1": 0.1, "k2": 0.1, "p1": 0.001, "p2": 0.001, "k3": 0.05}
+"""One standard deviation of the prior of each term of a lens, as phones and cameras
+differ from an ideal one (k1 of -0.15 to 0.12, k2 of -0.2 to 0.05, p1 and p2 about
+0.001). It is a property of lenses, not of how well a start is aligned."""

@@ -2,12 +2,14 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
+from photoreg.geometry.lens import Lens
 
 SAME_FOCAL = 1e-9
 """Focal lengths closer than this, relatively, are one."""
@@ -23,11 +25,17 @@ class Held:
     """The principal point."""
     pose: bool = False
     """Where the camera stands and how it is turned."""
+    lens: bool = dataclasses.field(default=False, repr=False)
+    """The distortion of the lens. It stays too where everything else does."""
 
     @property
     def everything(self) -> bool:
         """Whether the whole camera stays."""
         return self.focal and self.principal_point and self.pose
+
+    def holds(self, part: Literal["pose", "focal", "principal_point", "lens"]) -> bool:
+        """Whether a part of the camera stays."""
+        return getattr(self, part) or self.everything
 
 
 NOTHING_HELD = Held()
@@ -45,9 +53,12 @@ class Freedom:
     """What stays, one a photo; empty: nothing anywhere."""
     shared_focal: tuple[tuple[int, ...], ...] = ()
     """Groups of photos taken with one camera at one zoom: each group has one focal
-    length (aspect ratio and skew with it). Where one photo of a group is held, the
+    length (aspect ratio and skew with it) and one lens. Where one photo of a group is held, the
     others take its focal length. Otherwise unequal starts begin at their geometric
     mean, each camera moved along its view so that the object keeps its size."""
+    cropped: tuple[int, ...] = dataclasses.field(default=(), repr=False)
+    """Photos of which a part was cut off: their principal points may be far off the
+    middle, and of those that share a focal length with them, for these have their size."""
 
     def __post_init__(self) -> None:
         groups = tuple(tuple(sorted(group)) for group in self.shared_focal)
@@ -71,7 +82,9 @@ class Freedom:
         lock_focal: Sequence[str] = (),
         lock_principal_point: Sequence[str] = (),
         lock_pose: Sequence[str] = (),
+        lock_distortion: Sequence[str] = (),
         share_focal: Sequence[Sequence[str]] = (),
+        cropped: Sequence[str] = (),
     ) -> "Freedom":
         """The freedom of photos that go by name.
 
@@ -81,17 +94,26 @@ class Freedom:
             lock_focal: Photos whose focal lengths stay.
             lock_principal_point: Photos whose principal points stay.
             lock_pose: Photos whose cameras stay where they stand.
+            lock_distortion: Photos whose lenses stay as they are.
             share_focal: Groups that share a focal length; an empty group: all photos.
+            cropped: Photos of which a part was cut off.
 
         Raises:
             InputError: if a name is not among ``names``.
         """
         groups = [tuple(group) or tuple(names) for group in share_focal]
-        asked = [*lock, *lock_focal, *lock_principal_point, *lock_pose]
+        asked = [
+            *lock,
+            *lock_focal,
+            *lock_principal_point,
+            *lock_pose,
+            *lock_distortion,
+            *cropped,
+        ]
         for name in [*asked, *(name for group in groups for name in group)]:
             if name not in names:
                 raise InputError(
-                    f"There is no photo {name} to hold or to share; there are "
+                    f"There is no photo {name} to hold, to share or cropped; there are "
                     f"{', '.join(names)}."
                 )
         held = tuple(
@@ -99,21 +121,25 @@ class Freedom:
                 name in lock or name in lock_focal,
                 name in lock or name in lock_principal_point,
                 name in lock or name in lock_pose,
+                name in lock or name in lock_distortion,
             )
             for name in names
         )
         return cls(
             held,
             tuple(tuple(list(names).index(name) for name in g) for g in groups),
+            tuple(i for i, name in enumerate(names) if name in cropped),
         )
 
     def of(self, photo: int) -> Held:
         """What of a photo's camera stays, by itself or with those it shares with."""
         own = self._own(photo)
-        if own.focal:
-            return own
-        shared = any(self._own(k).focal for k in self.group(photo))
-        return dataclasses.replace(own, focal=shared)
+        others = [self._own(k) for k in self.group(photo)]
+        return dataclasses.replace(
+            own,
+            focal=any(other.focal for other in others),
+            lens=any(other.holds("lens") for other in others),
+        )
 
     def group(self, photo: int) -> tuple[int, ...]:
         """All photos whose focal length is this one's, itself among them."""
@@ -121,6 +147,10 @@ class Freedom:
             if photo in group:
                 return group
         return (photo,)
+
+    def is_cropped(self, photo: int) -> bool:
+        """Whether a photo's principal point may be far off its middle."""
+        return any(other in self.cropped for other in self.group(photo))
 
     def leads(self, photo: int) -> bool:
         """Whether a photo is the first of those that share its focal length."""
@@ -145,6 +175,11 @@ class Freedom:
                     f"are {n} photos."
                 )
             self._require_one_lens(group, cameras, names)
+        if not all(0 <= i < n for i in self.cropped):
+            raise InputError(
+                f"Photo {max(self.cropped) + 1} should be a cropped one, but there are {n} "
+                "photos."
+            )
         if all(self.of(i).everything for i in range(n)):
             raise InputError(
                 "Every camera is held whole, so nothing can be refined; let one move."
@@ -184,22 +219,33 @@ class Freedom:
         """
         begun = list(cameras)
         for group in self.shared_focal:
-            lenses = np.array([cameras[i].K[:2, :2] for i in group])
+            lens = self._shared_lens(group, cameras)
+            for i in group:
+                begun[i] = begun[i].with_lens(lens)
+            scales = np.array([cameras[i].K[:2, :2] for i in group])
             fixed = [i for i in group if self._own(i).focal]
             if fixed:
-                lens = cameras[fixed[0]].K[:2, :2]
-            elif np.ptp(lenses, axis=0).max(initial=0.0) == 0.0:
+                scale = cameras[fixed[0]].K[:2, :2]
+            elif np.ptp(scales, axis=0).max(initial=0.0) == 0.0:
                 continue
             else:
-                lens = lenses.mean(axis=0)
-                lens[[0, 1], [0, 1]] = np.exp(
-                    np.log(lenses[:, [0, 1], [0, 1]]).mean(axis=0)
+                scale = scales.mean(axis=0)
+                scale[[0, 1], [0, 1]] = np.exp(
+                    np.log(scales[:, [0, 1], [0, 1]]).mean(axis=0)
                 )
             for i in group:
-                begun[i] = _with_lens(
-                    cameras[i], lens, None if self._own(i).pose else pivot
+                begun[i] = _with_focal(
+                    begun[i], scale, None if self._own(i).pose else pivot
                 )
         return tuple(begun)
+
+    def _shared_lens(self, group: tuple[int, ...], cameras: Sequence[Camera]) -> Lens:
+        """The lens of photos that share it: a held one, or else their mean."""
+        fixed = [i for i in group if self._own(i).holds("lens")]
+        lenses = [cameras[i].lens for i in fixed[:1] or group]
+        if all(lens == lenses[0] for lens in lenses):
+            return lenses[0]
+        return Lens(*np.mean([lens.terms for lens in lenses], axis=0).tolist())
 
     def subset(self, photos: Sequence[int]) -> "Freedom":
         """The freedom of some of the photos, renumbered in their order."""
@@ -208,23 +254,28 @@ class Freedom:
             tuple(place[i] for i in group if i in place) for group in self.shared_focal
         ]
         return Freedom(
-            tuple(self.of(i) for i in photos), tuple(g for g in groups if len(g) > 1)
+            tuple(self.of(i) for i in photos),
+            tuple(g for g in groups if len(g) > 1),
+            tuple(k for k, i in enumerate(photos) if self.is_cropped(i)),
         )
 
     def _own(self, photo: int) -> Held:
         return self.held[photo] if self.held else NOTHING_HELD
 
 
-def _with_lens(camera: Camera, lens: np.ndarray, pivot: np.ndarray | None) -> Camera:
-    """The camera with another lens; moved so that ``pivot`` keeps its size and place."""
+def _with_focal(camera: Camera, scale: np.ndarray, pivot: np.ndarray | None) -> Camera:
+    """The camera with another focal length, as the upper left block of its K.
+
+    Moved so that ``pivot`` keeps its size and place.
+    """
     K = camera.K.copy()
-    K[:2, :2] = lens
+    K[:2, :2] = scale
     t = camera.t_cam_world
     if pivot is not None:
         turned = camera.R_cam_world @ pivot
         at = turned + t
-        zoom = np.sqrt(np.linalg.det(lens) / np.linalg.det(camera.K[:2, :2]))
+        zoom = np.sqrt(np.linalg.det(scale) / np.linalg.det(camera.K[:2, :2]))
         depth = zoom * at[2]
-        place = np.linalg.solve(lens, camera.K[:2, :2] @ at[:2] / at[2])
+        place = np.linalg.solve(scale, camera.K[:2, :2] @ at[:2] / at[2])
         t = np.append(place * depth, depth) - turned
-    return Camera(K, camera.R_cam_world, t, camera.width, camera.height)
+    return dataclasses.replace(camera, K=K, t_cam_world=t)

@@ -14,7 +14,12 @@ from jaxtyping import Float
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.rotations import rotation_matrices, rotation_vectors
-from photoreg.parameters.bounds import PriorScales
+from photoreg.parameters.bounds import (
+    CROPPED_PRINCIPAL,
+    CROPPED_REST,
+    CROPPED_ROTATION,
+    PriorScales,
+)
 from photoreg.parameters.freedom import Freedom
 from photoreg.words import listed
 
@@ -22,7 +27,7 @@ CameraModel = Literal["pinhole", "full"]
 Coordinates = Literal["camera", "object"]
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class GeneBox:
     """Half-widths of the gene intervals around the pre-registration.
 
@@ -78,6 +83,18 @@ class GeneBox:
             translation=self.translation * factor,
             scale=self.scale * factor,
             shift=self.shift * factor,
+        )
+
+    def cropped(self) -> "GeneBox":
+        """The box of a photo that was cropped; see ``bounds.CROPPED_PRINCIPAL``."""
+        return dataclasses.replace(
+            self,
+            focal=CROPPED_REST * self.focal,
+            principal_point=CROPPED_PRINCIPAL * self.principal_point,
+            rotation_deg=min(90.0, CROPPED_ROTATION * self.rotation_deg),
+            translation=CROPPED_REST * self.translation,
+            scale=CROPPED_REST * self.scale,
+            shift=CROPPED_REST * self.shift,
         )
 
 
@@ -174,8 +191,11 @@ class GeneMap:
 
     def _half_widths(self) -> np.ndarray:
         """(c, g) interval half-widths in the units of each parameter."""
-        box, rows = self.box, []
-        for size, distance, K in zip(self._sizes, self.distances, self._K, strict=True):
+        rows = []
+        for c, (size, distance, K) in enumerate(
+            zip(self._sizes, self.distances, self._K, strict=True)
+        ):
+            box = self.box.cropped() if self.freedom.is_cropped(c) else self.box
             lens = [box.focal]
             if self.model == "full":
                 skew = box.skew * K[0, 0]
@@ -252,6 +272,7 @@ class GeneMap:
                 poses.t_cam_world[0, c],
                 start.width,
                 start.height,
+                start.lens,
             )
             for c, start in enumerate(self.start)
         ]

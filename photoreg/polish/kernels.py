@@ -1,6 +1,6 @@
 """Compiled loops of the polish: projection with derivatives, photo comparison.
 
-Bare arrays only. A camera comes as the vector of ``Increments.geometry``; photos as
+Bare arrays only. A camera comes as the record of ``Increments.record``; photos as
 (h, w, 3) float32 with pixel (0, 0) at the centre of the first pixel. Parallel over
 chunks whose number does not depend on the number of threads; each writes its own sums.
 """
@@ -8,77 +8,77 @@ chunks whose number does not depend on the number of threads; each writes its ow
 import numba as nb
 import numpy as np
 
-N = 9
-"""Increments of a camera."""
+from photoreg.geometry.projection import (
+    lens_slopes,
+    pixel_of,
+    pixel_slopes,
+    project,
+    turned,
+)
+from photoreg.parameters.camera_parameters import (
+    FOCAL,
+    N_PINHOLE,
+    POSITION,
+    PRINCIPAL,
+)
+
 CHANNELS = 3
 CELL_PASSES = 4
 """Reweighting passes for a cell's offset; the cost moves by less than 1e-3 after three."""
 
-
-@nb.njit(inline="always", cache=True, nogil=True)
-def project_point(geometry, X, Y, Z, uv):
-    """Writes the pixel and the point in camera axes into ``uv``; False if behind."""
-    X -= geometry[30]
-    Y -= geometry[31]
-    Z -= geometry[32]
-    a = geometry[0] * X + geometry[1] * Y + geometry[2] * Z
-    b = geometry[3] * X + geometry[4] * Y + geometry[5] * Z
-    c = geometry[6] * X + geometry[7] * Y + geometry[8] * Z
-    x = a + geometry[9]
-    y = b + geometry[10]
-    z = c + geometry[11]
-    if not z > 0.0:
-        return False
-    uv[0] = (geometry[12] * x + geometry[13] * y) / z + geometry[15]
-    uv[1] = geometry[14] * y / z + geometry[16]
-    uv[2] = a
-    uv[3] = b
-    uv[4] = c
-    return True
+SHIFT_AT = POSITION.start
+MIDDLE_AT = PRINCIPAL.start
 
 
 @nb.njit(inline="always", cache=True, nogil=True)
-def projection_rows(geometry, uv, rows):
-    """Writes the derivative of the pixel by the nine increments into ``rows`` (2, 9)."""
-    a, b, c = uv[2], uv[3], uv[4]
-    inverse = 1.0 / (c + geometry[11])
-    x = (a + geometry[9]) * inverse
-    y = (b + geometry[10]) * inverse
-    ux = geometry[12] * inverse
-    uy = geometry[13] * inverse
-    uz = -(geometry[12] * x + geometry[13] * y) * inverse
-    vy = geometry[14] * inverse
-    vz = -geometry[14] * y * inverse
+def projection_rows(camera, a, b, c, u, v, rows):
+    """Writes the derivative of the pixel by the increments into ``rows`` (2, n).
+
+    Args:
+        camera: Record of ``CAMERA``.
+        a: The point, ``turned``, along x,
+        b: along y,
+        c: along z.
+        u: Its pixel's column.
+        v: Its pixel's row.
+        rows: Written; n says how many terms of the lens move.
+    """
+    ux, uy, uz, vx, vy, vz = pixel_slopes(camera, a, b, c)
     # d(turned point)/d(turn) = -[point]x, as three columns.
     u0 = -uy * c + uz * b
     u1 = ux * c - uz * a
     u2 = -ux * b + uy * a
     v0 = -vy * c + vz * b
-    v1 = -vz * a
-    v2 = vy * a
+    v1 = vx * c - vz * a
+    v2 = -vx * b + vy * a
+    turn = camera.turn
     for k in range(3):
-        j0 = geometry[17 + k]
-        j1 = geometry[20 + k]
-        j2 = geometry[23 + k]
+        j0, j1, j2 = turn[0, k], turn[1, k], turn[2, k]
         rows[0, k] = u0 * j0 + u1 * j1 + u2 * j2
         rows[1, k] = v0 * j0 + v1 * j1 + v2 * j2
-    shift = geometry[26]
-    rows[0, 3] = ux * shift
-    rows[0, 4] = uy * shift
-    rows[0, 5] = uz * shift
-    rows[1, 3] = 0.0
-    rows[1, 4] = vy * shift
-    rows[1, 5] = vz * shift
-    rows[0, 6] = (uv[0] - geometry[15]) * geometry[27]
-    rows[1, 6] = (uv[1] - geometry[16]) * geometry[27]
-    rows[0, 7] = geometry[28]
-    rows[1, 7] = 0.0
-    rows[0, 8] = 0.0
-    rows[1, 8] = geometry[29]
+    shift = camera.shift
+    rows[0, SHIFT_AT] = ux * shift
+    rows[0, SHIFT_AT + 1] = uy * shift
+    rows[0, SHIFT_AT + 2] = uz * shift
+    rows[1, SHIFT_AT] = vx * shift
+    rows[1, SHIFT_AT + 1] = vy * shift
+    rows[1, SHIFT_AT + 2] = vz * shift
+    rows[0, FOCAL] = (u - camera.cx) * camera.zoom
+    rows[1, FOCAL] = (v - camera.cy) * camera.zoom
+    rows[0, MIDDLE_AT] = camera.middle[0]
+    rows[1, MIDDLE_AT] = 0.0
+    rows[0, MIDDLE_AT + 1] = 0.0
+    rows[1, MIDDLE_AT + 1] = camera.middle[1]
+    if rows.shape[1] > N_PINHOLE:
+        slopes = lens_slopes(camera, a, b, c)
+        for k in range(rows.shape[1] - N_PINHOLE):
+            by_u, by_v = slopes[k]
+            rows[0, N_PINHOLE + k] = by_u * camera.bend[k]
+            rows[1, N_PINHOLE + k] = by_v * camera.bend[k]
 
 
 @nb.njit(inline="always", cache=True, nogil=True)
-def tangent_map(geometry, uv, normal, out):
+def tangent_map(camera, a, b, c, normal, out):
     """Writes the derivative of the pixel along two tangents of the surface: (2, 2)."""
     # Any two directions across the normal do, the same in both photos.
     nx, ny, nz = normal[0], normal[1], normal[2]
@@ -89,24 +89,18 @@ def tangent_map(geometry, uv, normal, out):
     bx = ny * az - nz * ay
     by = nz * ax - nx * az
     bz = nx * ay - ny * ax
-    inverse = 1.0 / (uv[4] + geometry[11])
-    x = (uv[2] + geometry[9]) * inverse
-    y = (uv[3] + geometry[10]) * inverse
-    ux = geometry[12] * inverse
-    uy = geometry[13] * inverse
-    uz = -(geometry[12] * x + geometry[13] * y) * inverse
-    vy = geometry[14] * inverse
-    vz = -geometry[14] * y * inverse
+    ux, uy, uz, vx, vy, vz = pixel_slopes(camera, a, b, c)
+    R = camera.R
     for m in range(2):
         if m == 0:
             tx, ty, tz = ax, ay, az
         else:
             tx, ty, tz = bx, by, bz
-        cx = geometry[0] * tx + geometry[1] * ty + geometry[2] * tz
-        cy = geometry[3] * tx + geometry[4] * ty + geometry[5] * tz
-        cz = geometry[6] * tx + geometry[7] * ty + geometry[8] * tz
+        cx = R[0, 0] * tx + R[0, 1] * ty + R[0, 2] * tz
+        cy = R[1, 0] * tx + R[1, 1] * ty + R[1, 2] * tz
+        cz = R[2, 0] * tx + R[2, 1] * ty + R[2, 2] * tz
         out[0, m] = ux * cx + uy * cy + uz * cz
-        out[1, m] = vy * cy + vz * cz
+        out[1, m] = vx * cx + vy * cy + vz * cz
 
 
 @nb.njit(inline="always", cache=True, nogil=True)
@@ -203,16 +197,17 @@ def sample_cubic(photo, u, v, out):
 
 
 @nb.njit(cache=True, nogil=True)
-def rim_rows(geometry, points):
-    """Pixels (n, 2) and their derivatives by the increments (n, 2, 9); NaN behind."""
+def rim_rows(camera, points, n):
+    """Pixels (m, 2) and their derivatives by n increments (m, 2, n); NaN behind."""
     pixels = np.full((len(points), 2), np.nan)
-    rows = np.zeros((len(points), 2, N))
-    uv = np.zeros(5)
+    rows = np.zeros((len(points), 2, n))
     for i in range(len(points)):
-        if project_point(geometry, points[i, 0], points[i, 1], points[i, 2], uv):
-            pixels[i, 0] = uv[0]
-            pixels[i, 1] = uv[1]
-            projection_rows(geometry, uv, rows[i])
+        a, b, c = turned(camera, points[i, 0], points[i, 1], points[i, 2])
+        seen, u, v = pixel_of(camera, a, b, c)
+        if seen:
+            pixels[i, 0] = u
+            pixels[i, 1] = v
+            projection_rows(camera, a, b, c, u, v, rows[i])
     return pixels, rows
 
 
@@ -225,6 +220,29 @@ def colours_at(photo, pixels):
         sample_cubic(photo, pixels[i, 0], pixels[i, 1], colour)
         for k in range(CHANNELS):
             out[i, k] = colour[k, 0]
+    return out
+
+
+@nb.njit(cache=True, nogil=True)
+def bilinear_at(image, pixels):
+    """Bilinear values (n, k, 3) of an image at pixels (n, k, 2), its border beyond it.
+
+    Not by ``cv2.remap``, which rounds places to a 32nd of a pixel.
+    """
+    height, width = image.shape[0], image.shape[1]
+    out = np.zeros((pixels.shape[0], pixels.shape[1], CHANNELS), np.float32)
+    for i in range(pixels.shape[0]):
+        for k in range(pixels.shape[1]):
+            u = min(max(pixels[i, k, 0], 0.0), width - 1.0)
+            v = min(max(pixels[i, k, 1], 0.0), height - 1.0)
+            column, row = min(int(u), width - 2), min(int(v), height - 2)
+            s, t = u - column, v - row
+            for c in range(CHANNELS):
+                above = image[row, column, c]
+                above += s * (image[row, column + 1, c] - above)
+                below = image[row + 1, column, c]
+                below += s * (image[row + 1, column + 1, c] - below)
+                out[i, k, c] = above + t * (below - above)
     return out
 
 
@@ -253,52 +271,58 @@ def weighted_moments(rows, target, weights):
 
 
 @nb.njit(parallel=True, cache=True, nogil=True)
-def pair_values(points, photo_a, photo_b, geometry_a, geometry_b):
+def pair_values(points, photo_a, photo_b, cameras):
     """Colours (n, 2, 3) of points in both photos; NaN behind a camera."""
     n = len(points)
     out = np.full((n, 2, CHANNELS), np.nan)
     n_chunks = 64
     for chunk in nb.prange(n_chunks):
-        uv = np.zeros(5)
         colour = np.zeros((CHANNELS, 3))
+        camera_a, camera_b = cameras[0], cameras[1]
         for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
             x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            if project_point(geometry_a, x, y, z, uv):
-                sample_cubic(photo_a, uv[0], uv[1], colour)
+            seen, u, v = project(camera_a, x, y, z)
+            if seen:
+                sample_cubic(photo_a, u, v, colour)
                 for k in range(CHANNELS):
                     out[i, 0, k] = colour[k, 0]
-            if project_point(geometry_b, x, y, z, uv):
-                sample_cubic(photo_b, uv[0], uv[1], colour)
+            seen, u, v = project(camera_b, x, y, z)
+            if seen:
+                sample_cubic(photo_b, u, v, colour)
                 for k in range(CHANNELS):
                     out[i, 1, k] = colour[k, 0]
     return out
 
 
 @nb.njit(cache=True, nogil=True)
-def slope_energy(points, normals_world, photo_a, photo_b, geometry_a, geometry_b, gain):
+def slope_energy(points, normals_world, photo_a, photo_b, cameras, gain):
     """Energy of the colours' slopes on the surface, (3, 2): a channel.
 
     First the product of the two photos' slopes, in which their noise does not meet,
     then the square of the slopes' mean, in which it does.
     """
+    camera_a, camera_b = cameras[0], cameras[1]
     out = np.zeros((CHANNELS, 2))
-    uv = np.zeros(5)
     colour_a = np.zeros((CHANNELS, 3))
     colour_b = np.zeros((CHANNELS, 3))
     map_a = np.zeros((2, 2))
     map_b = np.zeros((2, 2))
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        if not project_point(geometry_a, x, y, z, uv):
+        a0, a1, a2 = turned(camera_a, x, y, z)
+        seen, u, v = pixel_of(camera_a, a0, a1, a2)
+        if not seen:
             continue
-        sample_cubic(photo_a, uv[0], uv[1], colour_a)
-        tangent_map(geometry_a, uv, normals_world[i], map_a)
+        sample_cubic(photo_a, u, v, colour_a)
+        tangent_map(camera_a, a0, a1, a2, normals_world[i], map_a)
         # Slopes in pixels of photo a: lengths along the surface cancel in the ratio.
-        scale = (uv[4] + geometry_a[11]) / geometry_a[12]
-        if not project_point(geometry_b, x, y, z, uv):
+        scale = (a2 + camera_a.pivot_cam[2]) / camera_a.fx
+        b0, b1, b2 = turned(camera_b, x, y, z)
+        seen, u, v = pixel_of(camera_b, b0, b1, b2)
+        if not seen:
             continue
-        sample_cubic(photo_b, uv[0], uv[1], colour_b)
-        tangent_map(geometry_b, uv, normals_world[i], map_b)
+        sample_cubic(photo_b, u, v, colour_b)
+        tangent_map(camera_b, b0, b1, b2, normals_world[i], map_b)
         for k in range(CHANNELS):
             for m in range(2):
                 a = map_a[0, m] * colour_a[k, 1] + map_a[1, m] * colour_a[k, 2]
@@ -350,8 +374,7 @@ def chunk_equations(
     cell_starts,
     photo_a,
     photo_b,
-    geometry_a,
-    geometry_b,
+    cameras,
     gain,
     offsets,
     inverse_sigma,
@@ -365,6 +388,8 @@ def chunk_equations(
 
     Apart from the parallel loop: inside it the compiler took twice as long.
     """
+    camera_a, camera_b = cameras[0], cameras[1]
+    N = gradients.shape[2] // 2
     longest = 0
     for cell in range(first_cell, end_cell):
         longest = max(longest, cell_starts[cell + 1] - cell_starts[cell])
@@ -384,19 +409,21 @@ def chunk_equations(
     own_shared = np.zeros(4)
     colour_a = np.zeros((CHANNELS, 3))
     colour_b = np.zeros((CHANNELS, 3))
-    uv_a = np.zeros(5)
-    uv_b = np.zeros(5)
     mean_J = np.zeros(2 * N)
     for cell in range(first_cell, end_cell):
         n = 0
         for i in range(cell_starts[cell], cell_starts[cell + 1]):
             x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            if not project_point(geometry_a, x, y, z, uv_a):
+            a0, a1, a2 = turned(camera_a, x, y, z)
+            seen, u_a, v_a = pixel_of(camera_a, a0, a1, a2)
+            if not seen:
                 continue
-            if not project_point(geometry_b, x, y, z, uv_b):
+            b0, b1, b2 = turned(camera_b, x, y, z)
+            seen, u_b, v_b = pixel_of(camera_b, b0, b1, b2)
+            if not seen:
                 continue
-            sample_cubic(photo_a, uv_a[0], uv_a[1], colour_a)
-            sample_cubic(photo_b, uv_b[0], uv_b[1], colour_b)
+            sample_cubic(photo_a, u_a, v_a, colour_a)
+            sample_cubic(photo_b, u_b, v_b, colour_b)
             weight[n] = weights[i]
             for k in range(CHANNELS):
                 scale_a = gain[k] * inverse_sigma[k]
@@ -410,13 +437,13 @@ def chunk_equations(
                 slope[k, 1, n] = colour_a[k, 2] * scale_a
                 slope[k, 2, n] = -colour_b[k, 1] * scale_b
                 slope[k, 3, n] = -colour_b[k, 2] * scale_b
-            projection_rows(geometry_a, uv_a, own_rows[:2])
-            projection_rows(geometry_b, uv_b, own_rows[2:])
+            projection_rows(camera_a, a0, a1, a2, u_a, v_a, own_rows[:2])
+            projection_rows(camera_b, b0, b1, b2, u_b, v_b, own_rows[2:])
             for m in range(4):
                 for j in range(N):
                     rows[m, j, n] = own_rows[m, j]
-            tangent_map(geometry_a, uv_a, normals_world[i], map_a)
-            tangent_map(geometry_b, uv_b, normals_world[i], map_b)
+            tangent_map(camera_a, a0, a1, a2, normals_world[i], map_a)
+            tangent_map(camera_b, b0, b1, b2, normals_world[i], map_b)
             for k in range(CHANNELS):
                 for m in range(4):
                     own_slope[m] = slope[k, m, n]
@@ -471,13 +498,13 @@ def pair_normal_equations(
     chunk_starts,
     photo_a,
     photo_b,
-    geometry_a,
-    geometry_b,
+    cameras,
     gain,
     offsets,
     inverse_sigma,
     cell_precision,
     cut,
+    n_increments,
 ):
     """Cost and normal equations of one photo pair, one row a chunk of cells.
 
@@ -502,18 +529,19 @@ def pair_normal_equations(
         chunk_starts: (chunks + 1,) first cell of each chunk.
         photo_a: (h, w, 3) float32.
         photo_b: (h, w, 3) float32.
-        geometry_a: camera of photo a.
-        geometry_b: camera of photo b.
+        cameras: (2,) records of ``CAMERA``, of the two photos.
         gain: (3,) square root of the gain between the photos, a channel.
         offsets: (n, 3) difference of the photos after the gain, that of light included.
         inverse_sigma: (3,) inverse residual scale.
         cell_precision: (3,) sigma^2 / tau^2 of the cells' offsets.
         cut: scale of the Cauchy cost, in sigmas.
+        n_increments: n, of each camera.
 
     Returns:
-        Costs (chunks, 3), gradients (cells, 3, 18), normal matrices
-        (chunks, 3, 18, 18), the channels apart.
+        Costs (chunks, 3), gradients (cells, 3, 2 n), normal matrices
+        (chunks, 3, 2 n, 2 n), the channels apart.
     """
+    N = n_increments
     n_chunks = len(chunk_starts) - 1
     costs = np.zeros((n_chunks, CHANNELS))
     gradients = np.zeros((len(cell_starts) - 1, CHANNELS, 2 * N))
@@ -528,8 +556,7 @@ def pair_normal_equations(
             cell_starts,
             photo_a,
             photo_b,
-            geometry_a,
-            geometry_b,
+            cameras,
             gain,
             offsets,
             inverse_sigma,

@@ -7,10 +7,25 @@ about (photos, rims, priors) is the term's own affair.
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
+import scipy.sparse
+import scipy.sparse.linalg
 from jaxtyping import Float, Int
+
+DENSE_UP_TO = 60
+"""So many numbers, those of four cameras, are reckoned with all at once. Of more, each
+term is reckoned with in its own, and the normal equations are solved as sparse ones."""
+
+
+def among_all(
+    matrix: Float[np.ndarray, "k k"], rows: Int[np.ndarray, "k"], n: int
+) -> Float[np.ndarray, "n n"]:
+    """A matrix of some of ``n`` numbers as one of all, 0 elsewhere."""
+    whole = np.zeros((n, n))
+    whole[np.ix_(rows, rows)] = matrix
+    return whole
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -23,6 +38,20 @@ class Quadratic:
     """First derivative of the cost."""
     normal: Float[np.ndarray, "p p"]
     """Gauss-Newton second derivative: symmetric, not negative."""
+    rows: Int[np.ndarray, "p"] | None = None
+    """Which numbers among all these are of, on which alone the cost depends; None: all."""
+
+    def whole(self, n: int) -> "Quadratic":
+        """The same model in all ``n`` numbers."""
+        if self.rows is None:
+            return self
+        gradient = np.zeros(n)
+        gradient[self.rows] = self.gradient
+        return Quadratic(self.cost, gradient, among_all(self.normal, self.rows, n))
+
+    def handy(self, n: int) -> "Quadratic":
+        """In all ``n`` numbers where these are few, else as it is."""
+        return self.whole(n) if n <= DENSE_UP_TO else self
 
     @property
     def is_finite(self) -> bool:
@@ -33,7 +62,9 @@ class Quadratic:
             and np.isfinite(self.normal).all()
         )
 
-    def along(self, directions: Float[np.ndarray, "p q"]) -> "Quadratic":
+    def along(
+        self, directions: Float[np.ndarray, "p q"] | scipy.sparse.csr_array
+    ) -> "Quadratic":
         """The same model for dx = directions . dy, in dy."""
         return Quadratic(
             self.cost,
@@ -42,11 +73,25 @@ class Quadratic:
         )
 
 
+@runtime_checkable
 class Term(Protocol):
     """One part of the cost."""
 
     def linearise(self, x: Float[np.ndarray, "p"]) -> Quadratic:
         """The cost and its local model at ``x``."""
+        ...
+
+
+class ScatteringTerm(Term, Protocol):
+    """A term that tells how uncertain its gradient is."""
+
+    @property
+    def rows(self) -> Int[np.ndarray, "k"]:
+        """Its own numbers among those of all cameras."""
+        ...
+
+    def scatter(self, x: Float[np.ndarray, "p"]) -> Float[np.ndarray, "k k"]:
+        """Covariance of the gradient at ``x`` in its own numbers."""
         ...
 
 
@@ -91,13 +136,24 @@ class Iterate:
 
 
 def total(terms: Sequence[Term], x: Float[np.ndarray, "p"]) -> Quadratic:
-    """The local model of the sum of ``terms``."""
-    parts = [term.linearise(x) for term in terms]
-    return Quadratic(
-        sum(part.cost for part in parts),
-        np.sum([part.gradient for part in parts], axis=0),
-        np.sum([part.normal for part in parts], axis=0),
-    )
+    """The local model of the sum of ``terms``, in all numbers."""
+    cost, gradient, normal = 0.0, np.zeros(len(x)), np.zeros((len(x), len(x)))
+    for term in terms:
+        part = term.linearise(x)
+        cost += part.cost
+        rows = np.arange(len(x)) if part.rows is None else part.rows
+        gradient[rows] += part.gradient
+        normal[np.ix_(rows, rows)] += part.normal
+    return Quadratic(cost, gradient, normal)
+
+
+def solve_normal(
+    normal: Float[np.ndarray, "p p"], right: Float[np.ndarray, "p"]
+) -> Float[np.ndarray, "p"]:
+    """The solution of the normal equations; sparse by camera where there are many."""
+    if len(right) <= DENSE_UP_TO:
+        return np.linalg.solve(normal, right)
+    return scipy.sparse.linalg.splu(scipy.sparse.csc_array(normal)).solve(right)
 
 
 def minimise(
@@ -121,22 +177,25 @@ def minimise(
     if directions is None:
         directions = np.eye(len(x))
     limits = np.full(len(x), np.inf) if limits is None else np.maximum(limits, abs(x))
+    moves = directions
+    if len(x) > DENSE_UP_TO:
+        moves = scipy.sparse.csr_array(directions)
     model = total(terms, x)
     yield Iterate(0, x, model)
     share, growth = damping.initial, 2.0
     for iteration in range(1, damping.max_iterations + 1):
-        inner = model.along(directions)
+        inner = model.along(moves)
         diagonal = np.diag(inner.normal)
         # A parameter that nothing sees has a zero diagonal: keep the matrix regular.
         floor = max(float(diagonal.max()), 1e-300) * 1e-12
-        step = -np.linalg.solve(
+        step = -solve_normal(
             inner.normal + np.diag(share * diagonal + floor), inner.gradient
         )
         predicted = -float(inner.gradient @ step + 0.5 * step @ inner.normal @ step)
         if not predicted > 0.0:
             return
         # With its derivatives at once: three steps of four are accepted.
-        candidate = x + directions @ step
+        candidate = x + moves @ step
         there, gained = model, -np.inf
         if (np.abs(candidate) <= limits).all():
             there = total(terms, candidate)
@@ -161,18 +220,37 @@ def minimise(
 
 
 def own_end(
-    model: Quadratic, x: Float[np.ndarray, "p"], limits: Float[np.ndarray, "p"]
+    model: Quadratic,
+    x: Float[np.ndarray, "p"],
+    limits: Float[np.ndarray, "k"],
+    rows: slice | Int[np.ndarray, "k"] = slice(None),
 ) -> Float[np.ndarray, "p"]:
     """Where one term alone would go from ``x``, held by one unit of every parameter.
 
-    No number goes beyond its limit on either side of 0, if it was not there before.
+    The term's own numbers, ``rows``, do not go beyond their limits on either side of 0,
+    if they were not there before.
 
     A term's noise is measured there: where terms pull against each other, the pull
     would else pass for noise, and the term that gives way would give way for ever.
     """
-    step = -np.linalg.solve(model.normal + np.eye(len(x)), model.gradient)
-    limits = np.maximum(limits, np.abs(x))
-    return np.clip(x + step, -limits, limits)
+    model, end = model.handy(len(x)), x.copy()
+    step = -np.linalg.solve(model.normal + np.eye(len(model.gradient)), model.gradient)
+    end[slice(None) if model.rows is None else model.rows] += step
+    most = np.full(len(x), np.inf)
+    most[rows] = limits
+    most = np.maximum(most, np.abs(x))
+    return np.clip(end, -most, most)
+
+
+def total_scatter(
+    terms: "Sequence[ScatteringTerm]", x: Float[np.ndarray, "p"]
+) -> Float[np.ndarray, "p p"]:
+    """Covariance of the gradient of the sum of ``terms``, each apart from the others."""
+    whole = np.zeros((len(x), len(x)))
+    for term in terms:
+        rows = term.rows
+        whole[np.ix_(rows, rows)] += term.scatter(x)
+    return whole
 
 
 MIN_GROUPS = 20

@@ -7,14 +7,17 @@ it cannot compare two. Here everything is measured afresh at the pose that is ju
 import concurrent.futures
 import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import cv2
 import numpy as np
 
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
-from photoreg.geometry.surface_view import SurfaceView, surface_views
+from photoreg.geometry.surface_descriptors import surface_descriptors
+from photoreg.geometry.surface_view import SurfaceView, surface_view, surface_views
+from photoreg.imaging.colour_model import object_regions
+from photoreg.imaging.pairs import Pair, choose_pairs, points_of_pair
 from photoreg.imaging.photo import Photo
 from photoreg.polish.grid_cells import within_cells
 from photoreg.polish.kernels import colours_at
@@ -23,10 +26,18 @@ from photoreg.polish.photometric_term import (
     EDGE_MARGIN_PX,
     PairPoints,
     exposure_gain,
+    light_normals_of_firsts,
     opponent_channels,
     pair_points,
 )
-from photoreg.polish.silhouette_term import Rim, find_edges, find_rim
+from photoreg.polish.shading_term import fit_shading, shading_side_px
+from photoreg.polish.silhouette_term import (
+    EdgeImage,
+    Rim,
+    RimEdges,
+    find_edges,
+    find_rim,
+)
 
 SIDE_PX = 1024
 """Photos are reduced to this many pixels on the longer side at most."""
@@ -34,6 +45,9 @@ BLUR_PX = 1.0
 CELL_PX = 48.0
 N_POINTS = 6_000
 """Surface points over all pairs of photos; a pair has ``MIN_POINTS`` or more."""
+SHADING_REACH_PX = 12.0
+"""Changes of brightness slower than this, in pixels of a photo 1,024 px wide, are no
+detail that the surface should explain."""
 MIN_POINTS = 1_000
 MIN_CELL_POINTS = 8
 """Fewer points than this say too little of their cell."""
@@ -71,14 +85,25 @@ class Disagreement:
     )
     """Standard errors of the typical colours, as their cells differ."""
 
+    shadings: tuple[float, ...] = ()
+    """Where there is but one photo: the share of its detail that the shape of the surface
+    does not explain, 1 where it explains nothing. Empty where photos are compared."""
+
     @property
     def total(self) -> float:
         """One number to compare by: geometric mean of colours' and outlines' means.
 
         The noise of neither is known, and then the likelihood of cameras falls with
         the logarithms of both. Their sum would not: an outline that is rough everywhere
-        hides colours that halve, and half a pixel with them.
+        hides colours that halve, and half a pixel with them. Of one photo, what the
+        shading leaves open counts twice as much as the outline: it is no noise.
         """
+        if self.shadings:
+            shading, outline = (
+                float(np.mean(self.shadings)),
+                float(np.mean(self.outlines)),
+            )
+            return (2.0 * shading + outline) / 3.0
         colour = float(np.mean(list(self.colours.values()))) if self.colours else 1.0
         return float(np.sqrt(colour * np.mean(self.outlines)))
 
@@ -91,12 +116,24 @@ class Disagreement:
 
 
 def disagreement(
-    mesh: Mesh, photos: Sequence[Photo], cameras: Sequence[Camera], min_cosine: float
+    mesh: Mesh,
+    photos: Sequence[Photo],
+    cameras: Sequence[Camera],
+    min_cosine: float,
+    pairs: Sequence[Pair] | None = None,
 ) -> Disagreement:
-    """Colours that differ on the surface, and rims off the photos' edges."""
-    small = [_reduced(camera) for camera in cameras]
+    """Colours that differ on the surface, and rims off the photos' edges.
+
+    Of one photo, in place of the colours: shading that the surface does not explain.
+
+    ``pairs``: which photos to compare; None: as ``choose_pairs`` has it. Cameras that are
+    to be judged against each other want the same.
+    """
+    small = [camera.reduced(SIDE_PX, least_px=16) for camera in cameras]
     views = surface_views(mesh, small)
-    pairs = [(i, k) for k in range(len(photos)) for i in range(k)]
+    if pairs is None:
+        pairs = choose_pairs(mesh, photos, cameras)
+    normals = light_normals_of_firsts(mesh, views, pairs)
 
     def shared_points(pair: tuple[int, int]) -> PairPoints:
         i, k = pair
@@ -104,7 +141,8 @@ def disagreement(
             mesh,
             (photos[i], photos[k]),
             (views[i], views[k]),
-            max(MIN_POINTS, N_POINTS // len(pairs)),
+            normals[i],
+            points_of_pair(N_POINTS, len(pairs), MIN_POINTS),
             CELL_PX,
             EDGE_MARGIN_PX,
             min_cosine,
@@ -130,22 +168,35 @@ def disagreement(
         colours[i, k], typical_colours[i, k], errors[i, k] = _colour_shares(
             values, surface
         )
-    return Disagreement(colours, typical_colours, outlines, errors)
+    shadings = ()
+    if len(photos) == 1:
+        shadings = (_unexplained_share(mesh, photos[0], cameras[0]),)
+    return Disagreement(colours, typical_colours, outlines, errors, shadings)
+
+
+def _unexplained_share(mesh: Mesh, photo: Photo, camera: Camera) -> float:
+    """Of the photo's detail, what the shape of the surface does not explain."""
+    descriptors = surface_descriptors(mesh)
+    small = camera.reduced(shading_side_px(SHADING_REACH_PX), least_px=16)
+    view = surface_view(descriptors.mesh, small)
+    reach_px = SHADING_REACH_PX * small.width / 1024.0
+    fit = fit_shading(photo, view, descriptors, reach_px, N_POINTS)
+    return 1.0 if fit is None else float(np.clip(1.0 - fit.explained, 0.0, 1.0))
 
 
 def _outline_share(mesh: Mesh, photo: Photo, view: SurfaceView) -> float:
-    share = _share_off_edges(photo, view, find_rim(mesh, view, RIM_POINTS))
+    rim = find_rim(mesh, view, RIM_POINTS)
+    if len(rim.pixels) < MIN_RIM_POINTS:
+        return 1.0
+    share = _share_off_edges(find_edges(photo, view, rim, RIM_REACH_PX))
     return 1.0 if share is None else share
 
 
-def _share_off_edges(photo: Photo, view: SurfaceView, rim: Rim) -> float | None:
-    """Mean squared distance of a rim to the edges, relative to the reach.
+def _share_off_edges(edges: RimEdges) -> float | None:
+    """Mean squared distance of a rim to its edges, relative to the reach.
 
-    None where hardly any of the rim is in the photo and in its mask.
+    None where hardly any of the rim is in the photo's mask.
     """
-    if len(rim.pixels) < MIN_RIM_POINTS:
-        return None
-    edges = find_edges(photo, view, rim, RIM_REACH_PX)
     if edges.counts.sum() < MIN_RIM_POINTS:
         return None
     offset = np.abs(edges.offset_px[edges.counts])
@@ -169,26 +220,38 @@ def against_chance(
         photos: The photos.
         cameras: Their cameras.
     """
-    views = surface_views(mesh, [_reduced(camera) for camera in cameras])
+    small = [camera.reduced(SIDE_PX, least_px=16) for camera in cameras]
     with concurrent.futures.ThreadPoolExecutor() as threads:
-        elsewhere = threads.map(
-            _shares_elsewhere, itertools.repeat(mesh), photos, views
+        outlines = threads.map(
+            _relative_to_chance, itertools.repeat(mesh), photos, small, fit.outlines
         )
-        outlines = tuple(
-            share / float(np.mean(others)) if share < min(others, default=0.0) else 1.0
-            for share, others in zip(fit.outlines, elsewhere, strict=True)
-        )
-    return dataclasses.replace(fit, outlines=outlines)
+        return dataclasses.replace(fit, outlines=tuple(outlines))
 
 
-def _shares_elsewhere(mesh: Mesh, photo: Photo, view: SurfaceView) -> list[float]:
-    """Of the rim at random places of the photo, what ``_share_off_edges`` gives there."""
+def _relative_to_chance(
+    mesh: Mesh, photo: Photo, camera: Camera, share: float
+) -> float:
+    others = []
+    for other in _shares_elsewhere(mesh, photo, camera):
+        if other <= share:
+            return 1.0
+        others.append(other)
+    return share / float(np.mean(others)) if others else 1.0
+
+
+def _shares_elsewhere(mesh: Mesh, photo: Photo, camera: Camera) -> Iterator[float]:
+    """Of the outline at random places of the photo, what ``_share_off_edges`` gives."""
+    view = surface_view(mesh, camera)
     rim = find_rim(mesh, view, RIM_POINTS)
+    if len(rim.pixels) < MIN_RIM_POINTS:
+        return
+    width, height = camera.width, camera.height
+    image = EdgeImage.of(photo, (width, height))
+    regions = object_regions(view.covered, RIM_REACH_PX)
     rng = np.random.default_rng(0)
-    width, height = view.camera.width, view.camera.height
-    middle = rim.pixels.mean(axis=0) if len(rim.pixels) else np.zeros(2)
+    middle = rim.pixels.mean(axis=0)
     margin = RIM_REACH_PX + 2.0
-    shares: list[float] = []
+    n_found = 0
     # Places where most of a large outline lies outside the photo say little; most
     # others do.
     for _ in range(20 * N_DISPLACED):
@@ -205,26 +268,18 @@ def _shares_elsewhere(mesh: Mesh, photo: Photo, view: SurfaceView) -> list[float
         ):
             continue
         moved = Rim(rim.points[inside], pixels[inside], (rim.normals @ turn.T)[inside])
-        covered = cv2.warpAffine(
-            view.covered.astype(np.uint8),
+        there = cv2.warpAffine(
+            regions,
             np.column_stack([turn, place - turn @ middle]),
             (width, height),
             flags=cv2.INTER_NEAREST,
         )
-        there = dataclasses.replace(view, covered=covered > 0)
-        share = _share_off_edges(photo, there, moved)
+        share = _share_off_edges(image.edges(moved, there, RIM_REACH_PX))
         if share is not None:
-            shares.append(share)
-        if len(shares) == N_DISPLACED:
-            break
-    return shares
-
-
-def _reduced(camera: Camera) -> Camera:
-    scale = min(1.0, SIDE_PX / max(camera.width, camera.height))
-    return camera.resized(
-        max(16, round(camera.width * scale)), max(16, round(camera.height * scale))
-    )
+            yield share
+            n_found += 1
+        if n_found == N_DISPLACED:
+            return
 
 
 def _colour_shares(

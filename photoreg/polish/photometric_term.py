@@ -1,17 +1,26 @@
 """Photo-consistency for the polish: photos on a level, surface points, the pair's term."""
 
+import concurrent.futures
 import dataclasses
 from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Float32, Int
 
 from photoreg.geometry.mesh import Mesh
+from photoreg.geometry.projection import CAMERA
 from photoreg.geometry.surface_view import SurfaceView, camera_rays
+from photoreg.imaging.exposure import MAX_GAIN
+from photoreg.imaging.pairs import Pair
 from photoreg.imaging.photo import Photo
-from photoreg.parameters.increments import N_INCREMENTS, Increments
-from photoreg.polish.grid_cells import cell_means, within_cells
+from photoreg.parameters.increments import Increments, numbers_of
+from photoreg.polish.grid_cells import (
+    cell_keys,
+    cell_means,
+    starts_of_cells,
+    within_cells,
+)
 from photoreg.polish.kernels import pair_normal_equations, pair_values, slope_energy
 from photoreg.polish.levenberg_marquardt import (
     Quadratic,
@@ -35,6 +44,10 @@ LIGHT_BLURS_PX = (8.0, 16.0)
 """How far normals are evened out before light is fitted, in pixels of 1,024. A rough
 mesh wants more, a finely shaped one less; the fit takes the best of both. Where light
 moved over a rough mesh 2 or 4 leave half as much of it again."""
+SPACINGS = 8
+"""Distances between points that are tried, an octave."""
+WINDOW_PX = 64
+"""Points are drawn over a box whose sides are multiples of this."""
 MIN_INNER_SHARE = 0.1
 """Least share of what is seen that keeps the margin; thinner things go without."""
 MIN_SIGNAL = 0.05
@@ -43,7 +56,7 @@ MIN_SIGMA = 0.5
 """Least residual scale, in grey levels of 255: the rounding of bytes is 0.3."""
 
 # Grey, and two colour differences that a change of brightness leaves nearly alone.
-_OPPONENT = np.array(
+OPPONENT = np.array(
     [
         [1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0],
         [0.5, 0.0, -0.5],
@@ -63,17 +76,16 @@ class PairPoints:
     light_normals: Float[np.ndarray, "n scales 3"]
     """Unit normals that meet the light: evened out over each of ``LIGHT_BLURS_PX``."""
     weights: Float[np.ndarray, "n"]
-    cell_starts: Int[np.ndarray, "cells+1"]
+    cell_starts: Int[np.ndarray, "bounds"]
     cells: Int[np.ndarray, "cells 2"]
     """Column and row of each cell."""
 
     def blocks(self, side: int) -> Int[np.ndarray, "cells"]:
         """The block of side x side cells that each cell is in."""
-        column, row = (self.cells // side).T
-        return row * 100_003 + column
+        return cell_keys(self.cells // side)
 
     @property
-    def chunk_starts(self) -> Int[np.ndarray, "chunks+1"]:
+    def chunk_starts(self) -> Int[np.ndarray, "chunk_bounds"]:
         """First cell of each chunk; chunks hold about the same number of points."""
         targets = np.linspace(0, len(self.points), N_CHUNKS + 1)[1:-1]
         inner = np.searchsorted(self.cell_starts, targets)
@@ -99,10 +111,7 @@ def opponent_channels(
         float32, grey levels of 255.
     """
     size = (view.camera.width, view.camera.height)
-    pixels = photo.pixels
-    if (photo.width, photo.height) != size:
-        pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
-    channels = cv2.transform(pixels.astype(np.float32), _OPPONENT)
+    channels = cv2.transform(photo.pixels_at(size).astype(np.float32), OPPONENT)
     cover = view.covered.astype(np.float32)
     if photo.mask is not None:
         cover *= cv2.resize(
@@ -124,6 +133,7 @@ def pair_points(
     mesh: Mesh,
     photos: Sequence[Photo],
     views: Sequence[SurfaceView],
+    light_normals: Sequence[Float32[np.ndarray, "_ _ 3"]],
     n_points: int,
     cell_px: float,
     margin_px: float,
@@ -136,6 +146,7 @@ def pair_points(
         mesh: The surface.
         photos: The two photos, for their masks.
         views: What the two cameras see.
+        light_normals: ``light_normals`` of the first view.
         n_points: About how many points.
         cell_px: Side of a cell in pixels of the first view.
         margin_px: Points nearer than this to a jump of depth in either view, in
@@ -145,19 +156,10 @@ def pair_points(
     """
     view, other = views
     camera = view.camera
-    rng = np.random.default_rng(seed)
-    window = np.flatnonzero((view.covered & (view.inner > margin_px)).ravel())
-    if len(window) < MIN_INNER_SHARE * view.covered.sum():
-        window, margin_px = np.flatnonzero(view.covered.ravel()), 0.0
-    if len(window) == 0:
-        window = np.zeros(1, dtype=np.int64)
-    # Evenly spaced through the row-wise list, jittered: about even over the photo.
-    n = min(n_points * 2, 4 * len(window))
-    chosen = window[
-        ((np.arange(n) + rng.random(n)) * (len(window) / n)).astype(np.int64)
-    ]
-    pixels = np.column_stack([chosen % camera.width, chosen // camera.width])
-    pixels = pixels + rng.random(pixels.shape) - 0.5
+    window = view.covered & (view.inner > margin_px)
+    if window.sum() < MIN_INNER_SHARE * view.covered.sum():
+        window, margin_px = view.covered, 0.0
+    pixels, rank = spread_pixels(window, n_points * 2, seed)
     origins, directions = camera_rays(camera, pixels)
     face, distance = mesh.first_hits(origins, directions)
     keep = face >= 0
@@ -189,21 +191,58 @@ def pair_points(
         at = np.rint(other.camera.project(points[index])).astype(int)
         index = index[other.inner[at[:, 1], at[:, 0]] > margin_px]
     if len(index) > n_points:
-        index = index[rng.permutation(len(index))[:n_points]]
+        index = index[np.argsort(rank[index], kind="stable")[:n_points]]
     cell = np.floor(pixels[index] / cell_px).astype(np.int64)
-    key = cell[:, 1] * 100_003 + cell[:, 0]
+    key = cell_keys(cell)
     order = np.argsort(key, kind="stable")
-    index, key = index[order], key[order]
-    first = np.flatnonzero(np.concatenate([[True], key[1:] != key[:-1]])[: len(key)])
-    starts = np.append(first, len(key))
+    index = index[order]
+    starts = starts_of_cells(key[order])
     return PairPoints(
         np.ascontiguousarray(points[index]),
         _smooth_normals(normals[index], starts),
-        _seen_normals(mesh, view, pixels[index]),
+        _normals_at(light_normals, view, pixels[index]),
         np.ones(len(index)),
-        starts.astype(np.int64),
-        cell[order][first],
+        starts,
+        cell[order][starts[:-1]],
     )
+
+
+def spread_pixels(
+    window: Bool[np.ndarray, "h w"], n: int, seed: int
+) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "m"]]:
+    """About ``n`` places evenly over a window, four a pixel at most, and their ranks.
+
+    A window that is another by a pixel, as of a mesh in other units, changes one place
+    and no other: so would it be if they were drawn from a list of its pixels.
+
+    Returns:
+        Pixels (column, row), and a random number each, by whose order to take fewer.
+    """
+    area = max(1, int(window.sum()))
+    wanted = np.sqrt(area / min(n, 4 * area))
+    # Steps of a ladder, for the same reason.
+    step = 2.0 ** (np.floor(SPACINGS * np.log2(wanted)) / SPACINGS)
+    rows, columns = (np.flatnonzero(window.any(axis=axis)) for axis in (1, 0))
+    low = [
+        side[0] // WINDOW_PX * WINDOW_PX if len(side) else 0 for side in (columns, rows)
+    ]
+    high = [side[-1] + 1 if len(side) else 1 for side in (columns, rows)]
+    n_columns, n_rows = (
+        int(np.ceil(np.ceil((last - first) / WINDOW_PX) * WINDOW_PX / step))
+        for first, last in zip(low, high, strict=True)
+    )
+    rng = np.random.default_rng(seed)
+    jitter = rng.random((n_rows, n_columns, 3), dtype=np.float32)
+    x = low[0] - 0.5 + step * (np.arange(n_columns) + jitter[..., 0])
+    y = low[1] - 0.5 + step * (np.arange(n_rows)[:, None] + jitter[..., 1])
+    at = np.rint(y).astype(np.int64), np.rint(x).astype(np.int64)
+    height, width = window.shape
+    inside = (at[0] < height) & (at[1] < width)
+    inside[inside] = window[at[0][inside], at[1][inside]]
+    pixels = np.column_stack([x[inside], y[inside]])
+    if len(pixels) == 0:
+        return np.zeros((1, 2)), np.zeros(1)
+    return pixels, jitter[..., 2][inside].astype(np.float64)
 
 
 def _smooth_normals(normals: np.ndarray, starts: np.ndarray) -> np.ndarray:
@@ -215,24 +254,43 @@ def _smooth_normals(normals: np.ndarray, starts: np.ndarray) -> np.ndarray:
     return mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
 
 
-def _seen_normals(
-    mesh: Mesh, view: SurfaceView, pixels: Float[np.ndarray, "n 2"]
-) -> Float[np.ndarray, "n scales 3"]:
-    """Unit normals at pixels of a view, evened out over each of ``LIGHT_BLURS_PX``.
+def light_normals(
+    mesh: Mesh, view: SurfaceView
+) -> tuple[Float32[np.ndarray, "_ _ 3"], ...]:
+    """Normals in a view evened out over each of ``LIGHT_BLURS_PX``, as small pictures.
 
     In pixels, so that a mesh's roughness does not count for its shape, however fine its
     faces are.
     """
     seen = np.zeros((*view.covered.shape, 3), np.float32)
     seen[view.covered] = mesh.face_normals[view.face_index[view.covered]]
-    at_scales = []
+    pictures = []
     for blur_px in LIGHT_BLURS_PX:
         sigma = blur_px * view.camera.width / 1024.0
         # Blurred in a smaller picture: a second instead of twenty for a large photo.
         scale = min(1.0, 4.0 / sigma)
         small = cv2.resize(seen, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        small = cv2.GaussianBlur(small, (0, 0), max(sigma * scale, 0.5))
-        ratio = np.array(small.shape[1::-1]) / np.array(seen.shape[1::-1])
+        pictures.append(cv2.GaussianBlur(small, (0, 0), max(sigma * scale, 0.5)))
+    return tuple(pictures)
+
+
+def light_normals_of_firsts(
+    mesh: Mesh, views: Sequence[SurfaceView], pairs: Sequence[Pair]
+) -> dict[int, tuple[Float32[np.ndarray, "_ _ 3"], ...]]:
+    """``light_normals`` of every view that is the first of a pair, once each."""
+    firsts = sorted({i for i, _ in pairs})
+    with concurrent.futures.ThreadPoolExecutor() as threads:
+        found = threads.map(lambda i: light_normals(mesh, views[i]), firsts)
+        return dict(zip(firsts, found, strict=True))
+
+
+def _normals_at(
+    pictures: Sequence[np.ndarray], view: SurfaceView, pixels: Float[np.ndarray, "n 2"]
+) -> Float[np.ndarray, "n scales 3"]:
+    """Unit normals of ``light_normals`` at pixels of their view."""
+    at_scales = []
+    for small in pictures:
+        ratio = np.array(small.shape[1::-1]) / np.array(view.covered.shape[1::-1])
         columns, rows = np.rint((pixels + 0.5) * ratio - 0.5).astype(np.int64).T
         at = small[
             np.clip(rows, 0, small.shape[0] - 1),
@@ -244,7 +302,7 @@ def _seen_normals(
     return np.stack(at_scales, axis=1)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class PairTerm:
     """Photo-consistency of two photos: a term of the polish.
 
@@ -279,38 +337,37 @@ class PairTerm:
         weight: float,
     ) -> "PairTerm":
         """The term, with exposure and noise measured at ``x``."""
-        geometries = _geometries(pair, increments, images, x)
-        values = pair_values(surface.points, *images, *geometries)
+        records = _records(pair, increments, images, x)
+        values = pair_values(surface.points, *images, records)
         gain, offsets, sigma, tau = measure_noise(
             values, surface.cell_starts, surface.light_normals
         )
         shared, mean = slope_energy(
-            surface.points, surface.normals, *images, *geometries, gain
+            surface.points, surface.normals, *images, records, gain
         ).T
         signal = np.clip(shared / np.maximum(mean, 1e-12), MIN_SIGNAL, 1.0)
         return cls(
-            pair,
-            surface,
-            images,
-            increments,
-            gain,
-            offsets,
-            sigma,
-            tau,
-            signal,
-            np.full(3, weight),
+            pair=pair,
+            surface=surface,
+            images=images,
+            increments=increments,
+            gain=gain,
+            offsets=offsets,
+            sigma=sigma,
+            tau=tau,
+            signal=signal,
+            weight=np.full(3, weight),
         )
 
     def linearise(self, x: Float[np.ndarray, "p"]) -> Quadratic:
         """The cost and normal equations at ``x``."""
         costs, gradients, normals = self._sums(x)
-        rows = self._rows
-        gradient, normal = np.zeros(len(x)), np.zeros((len(x), len(x)))
-        gradient[rows] = self.weight @ gradients.sum(axis=0)
-        normal[np.ix_(rows, rows)] = np.einsum(
-            "k,kij->ij", self.weight, normals.sum(axis=0)
+        return Quadratic(
+            float(costs.sum(axis=0) @ self.weight),
+            self.weight @ gradients.sum(axis=0),
+            np.einsum("k,kij->ij", self.weight, normals.sum(axis=0)),
+            self.rows,
         )
-        return Quadratic(float(costs.sum(axis=0) @ self.weight), gradient, normal)
 
     def tempered(self, x: Float[np.ndarray, "p"]) -> "PairTerm":
         """The term with each channel weighted by what it knows at ``x``.
@@ -330,26 +387,24 @@ class PairTerm:
         ]
         return dataclasses.replace(self, weight=self.weight / ratios)
 
-    def scatter(self, x: Float[np.ndarray, "p"]) -> Float[np.ndarray, "p p"]:
-        """Covariance of the gradient at ``x``, all channels together."""
+    def scatter(self, x: Float[np.ndarray, "p"]) -> Float[np.ndarray, "k k"]:
+        """Covariance of the gradient at ``x``, all channels together, of ``rows``."""
         gradients, normals = self._own_scores(x)
-        whole = np.zeros((len(x), len(x)))
         # Where the mesh is wrong, all channels are wrong alike.
-        whole[np.ix_(self._rows, self._rows)] = scatter(
+        return scatter(
             np.einsum("k,ckp->cp", self.weight, gradients),
             np.einsum("k,kij->ij", self.weight, normals),
             self._blocks,
         )
-        return whole
 
     def _own_scores(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Gradients (cells, 3, 18) and normals (3, 18, 18) where this term would go.
+        """Gradients (cells, 3, 2 n) and normals (3, 2 n, 2 n) where this term would go.
 
         Where it is, if nothing can be reckoned there.
         """
-        limits = np.full(len(x), np.inf)
-        limits[self._rows] = np.concatenate([one.limits for one in self.increments])
-        _, gradients, normals = self._sums(own_end(self.linearise(x), x, limits))
+        limits = np.concatenate([one.limits for one in self.increments])
+        end = own_end(self.linearise(x), x, limits, self.rows)
+        _, gradients, normals = self._sums(end)
         if not (np.isfinite(gradients).all() and np.isfinite(normals).all()):
             _, gradients, normals = self._sums(x)
         return gradients, normals.sum(axis=0)
@@ -359,10 +414,14 @@ class PairTerm:
         return [self.surface.blocks(side) for side in BLOCK_SIDES]
 
     @property
-    def _rows(self) -> np.ndarray:
-        return np.concatenate(
-            [np.arange(N_INCREMENTS) + i * N_INCREMENTS for i in self.pair]
-        )
+    def rows(self) -> Int[np.ndarray, "k"]:
+        """This pair's numbers among the increments of all cameras."""
+        return numbers_of(self.pair, self.increments)
+
+    @property
+    def _n(self) -> int:
+        """How many increments a camera has."""
+        return self.increments[0].n
 
     def _sums(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         surface = self.surface
@@ -375,29 +434,30 @@ class PairTerm:
             surface.cell_starts,
             surface.chunk_starts,
             *self.images,
-            *_geometries(self.pair, self.increments, self.images, x),
+            _records(self.pair, self.increments, self.images, x),
             self.gain,
             self.offsets,
             1.0 / self.sigma,
             precision,
             CUT,
+            self._n,
         )
         return costs, gradients, normals * self.signal[:, None, None]
 
 
 def exposure_gain(
-    values: Float[np.ndarray, "n 2 3"], cell_starts: Int[np.ndarray, "cells+1"]
+    values: Float[np.ndarray, "n 2 3"], cell_starts: Int[np.ndarray, "bounds"]
 ) -> Float[np.ndarray, "3"]:
     """Square root of the gain between two photos, a channel each."""
     # Deviations within cells: slow light would otherwise pass for contrast.
     within = within_cells(values, cell_starts)
     spread = np.sqrt(np.maximum((within**2).mean(axis=0), 1e-6))
-    return np.sqrt(np.clip(spread[1] / spread[0], 0.25, 4.0))
+    return np.sqrt(np.clip(spread[1] / spread[0], MAX_GAIN**-2, MAX_GAIN**2))
 
 
 def measure_noise(
     values: Float[np.ndarray, "n 2 3"],
-    cell_starts: Int[np.ndarray, "cells+1"],
+    cell_starts: Int[np.ndarray, "bounds"],
     light_normals: Float[np.ndarray, "n scales 3"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Exposure and light between two photos and the noise of what they leave.
@@ -427,16 +487,18 @@ def measure_noise(
     return gain, offsets, sigma, np.sqrt(np.maximum(between - noise, 0.0))
 
 
-def _geometries(
+def _records(
     pair: tuple[int, int],
     increments: tuple[Increments, Increments],
     images: tuple[np.ndarray, np.ndarray],
     x: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    first, second = (
-        increment.geometry(
-            x[i * N_INCREMENTS : (i + 1) * N_INCREMENTS], image.shape[1], image.shape[0]
+) -> np.ndarray:
+    """The cameras of a pair at ``x``, for kernels: (2,) of ``CAMERA``."""
+    records = np.zeros(2, CAMERA)
+    for k, (i, increment, image) in enumerate(
+        zip(pair, increments, images, strict=True)
+    ):
+        records[k] = increment.record(
+            x[increment.own(i)], image.shape[1], image.shape[0]
         )
-        for i, increment, image in zip(pair, increments, images, strict=True)
-    )
-    return first, second
+    return records

@@ -14,15 +14,15 @@ import dataclasses
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.surface_view import SurfaceView, camera_rays
-from photoreg.imaging.colour_model import colour_model
+from photoreg.imaging.colour_model import colour_bins, colour_model, object_regions
 from photoreg.imaging.photo import Photo, resized_mask
-from photoreg.parameters.increments import N_INCREMENTS, Increments
-from photoreg.polish.grid_cells import cell_means
-from photoreg.polish.kernels import rim_rows
+from photoreg.parameters.increments import Increments, numbers_of
+from photoreg.polish.grid_cells import cell_keys, cell_means, starts_of_cells
+from photoreg.polish.kernels import bilinear_at, rim_rows
 from photoreg.polish.levenberg_marquardt import (
     Quadratic,
     overdispersion,
@@ -35,12 +35,16 @@ CUT = 2.0
 MIN_SIGMA_PX = 0.1
 """Least residual scale, in pixels: edges are not found better than this."""
 SEGMENT_POINTS = 12
-"""Rim points in a row that share an offset: an edge is wrong over a stretch."""
-BLOCK_LENGTHS = (1, 2, 4)
-"""Lengths, in segments, of the stretches over which errors may be alike."""
+"""Rim points, on average, that share an offset: an edge is wrong over a stretch."""
+SEGMENT_SIDE = 4.0 / np.pi * SEGMENT_POINTS
+"""A segment is what a square cell of the view holds of the rim. This is its side in
+strides: the mean chord of a square is a quarter of pi of it."""
+BLOCK_SIDES = (1, 2, 4)
+"""Sides, in cells, of the blocks over which errors may be alike."""
 OUTLINE_SIGMA_PX = 0.5
 """Spread of the offset that a whole outline has: scans come out fat or thin."""
 BISECTIONS = 7
+"""They leave 2.5 px / 2^7 = 0.02 px, a fifth of ``MIN_SIGMA_PX``."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -53,6 +57,8 @@ class Rim:
     """In the view, between the last ray that hits and the first that does not."""
     normals: Float[np.ndarray, "n 2"]
     """Unit vectors in the view, away from the object."""
+    stride_px: int = 1
+    """Every so many pixels along the rim there is a point."""
 
 
 def find_rim(mesh: Mesh, view: SurfaceView, n_points: int) -> Rim:
@@ -66,14 +72,8 @@ def find_rim(mesh: Mesh, view: SurfaceView, n_points: int) -> Rim:
     chains = [c[:, 0, :] for c in contours if len(c) >= 24]
     if not chains:
         return none
-    total = sum(len(chain) for chain in chains)
-    stride = max(1.0, total / n_points)
-    pixels = np.concatenate(
-        [
-            chain[(np.arange(int(len(chain) / stride)) * stride).astype(int)]
-            for chain in chains
-        ]
-    ).astype(np.float64)
+    pixels = np.concatenate(chains).astype(np.float64)
+    stride = max(1, round(len(pixels) / max(n_points, 1)))
     smooth = cv2.GaussianBlur(covered.astype(np.float32), (0, 0), 1.5)
     columns, rows = pixels.astype(int).T
     height, width = covered.shape
@@ -86,7 +86,11 @@ def find_rim(mesh: Mesh, view: SurfaceView, n_points: int) -> Rim:
         ]
     ).astype(np.float64)
     lengths = np.linalg.norm(normals, axis=1)
-    keep = lengths > 0.05
+    # Every so many columns or rows, whichever the rim crosses, and not so many points:
+    # a rim that is longer by a pixel has the same ones elsewhere.
+    crosses_columns = np.abs(normals[:, 1]) >= np.abs(normals[:, 0])
+    keep = np.where(crosses_columns, columns, rows) % stride == 0
+    keep &= lengths > 0.05
     pixels, normals = pixels[keep], normals[keep] / lengths[keep, None]
     if len(pixels) == 0:
         return none
@@ -117,7 +121,7 @@ def find_rim(mesh: Mesh, view: SurfaceView, n_points: int) -> Rim:
     good &= face_at >= 0
     facing = np.einsum("ij,ij->i", mesh.face_normals[face_at], directions) < 0.0
     good &= facing & ~mesh.is_border_face[face_at]
-    return Rim(points[good], pixels[good], normals[good])
+    return Rim(points[good], pixels[good], normals[good], stride_px=stride)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -130,81 +134,104 @@ class RimEdges:
     """Whether the photo's mask leaves anything of the normal to search."""
 
 
-def find_edges(photo: Photo, view: SurfaceView, rim: Rim, reach_px: float) -> RimEdges:
-    """Searches each rim point's normal for the edge between object and surroundings.
+@dataclasses.dataclass(frozen=True, eq=False)
+class EdgeImage:
+    """A photo as edges are looked for in it: made once, asked for any outline."""
 
-    The edge is where colours like the object's give way to colours like the
-    surroundings', where the colour steps, and near. Where colours inside and outside
-    are alike, the step alone counts. What the photo's mask leaves out has neither colours
-    nor edges; its border is an edge only where the photo's colours step there.
-    """
-    size = (view.camera.width, view.camera.height)
-    pixels = photo.pixels
-    if (photo.width, photo.height) != size:
-        pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
-    values = cv2.GaussianBlur(pixels.astype(np.float32), (0, 0), 0.8)
-    mask = resized_mask(photo, size)
-    model = colour_model(values, view.covered, reach_px, mask)
-    half = 2.0
-    reach = max(3, round(reach_px * half))
-    steps = np.arange(-reach - 2, reach + 3) / half
-    at = rim.pixels[:, None, :] + steps[None, :, None] * rim.normals[:, None, :]
-    maps = at.astype(np.float32)
-    profile = cv2.remap(
-        values,
-        maps[..., 0],
-        maps[..., 1],
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
-    slope = 0.5 * (profile[:, 2:] - profile[:, :-2])
-    strength = np.sqrt((slope**2).sum(axis=2))[:, 1:-1]
-    ratio = model.of(profile)[:, 2:-2]
-    counts = np.ones(len(ratio), dtype=bool)
-    if mask is not None:
-        ratio = np.where(_at(mask, maps)[:, 2:-2], ratio, 0.0)
-        # The step at the border of the mask is between a pixel that counts and one that
-        # does not.
-        near = cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-        within = _at(near, maps)[:, 2:-2]
-        strength = np.where(within, strength, 0.0)
-        counts = np.logical_or.reduce(within, axis=1)
-    # Inside up to here, outside from here on; neighbours are not independent.
-    inside = np.cumsum(ratio, axis=1)
-    split = (2.0 * inside - inside[:, -1:]) / (half * 4.0)
-    positions = steps[2:-2]
-    noise = np.median(strength[counts]) + 1.0 if counts.any() else 1.0
-    score = (
-        split
-        + 2.0 * np.log1p(strength / noise)
-        - 0.5 * (positions / (0.5 * reach_px)) ** 2
-    )
-    rows = np.arange(len(score))
-    best = np.clip(score.argmax(axis=1), 1, len(positions) - 2)
-    # To the nearest top of the step's strength, then to a fraction by a parabola.
-    for _ in range(3):
+    values: Float[np.ndarray, "h w 3"]
+    """The photo's colours, 0 to 255, softened."""
+    bins: Int[np.ndarray, "h w"]
+    """Their ``colour_bins``."""
+    mask: Bool[np.ndarray, "h w"] | None
+    """Which pixels count; None: all."""
+
+    @classmethod
+    def of(cls, photo: Photo, size: tuple[int, int]) -> "EdgeImage":
+        """The photo at width and height ``size``."""
+        pixels = photo.pixels_at(size).astype(np.float32)
+        values = cv2.GaussianBlur(pixels, (0, 0), 0.8)
+        return cls(values, colour_bins(values), resized_mask(photo, size))
+
+    def edges(
+        self,
+        rim: Rim,
+        regions: UInt8[np.ndarray, "h w"],
+        reach_px: float,
+    ) -> RimEdges:
+        """Searches each rim point's normal for the edge between object and surroundings.
+
+        The edge is where colours like the object's give way to colours like the
+        surroundings', where the colour steps, and near. Where colours inside and outside
+        are alike, the step alone counts. What the photo's mask leaves out has neither
+        colours nor edges; its border is an edge only where the photo's colours step there.
+
+        Args:
+            rim: The outline, in pixels of this image.
+            regions: ``object_regions`` of the object, ``reach_px`` around it.
+            reach_px: How far from the rim an edge may be.
+        """
+        model = colour_model(self.bins, regions, self.mask)
+        half = 2.0
+        reach = max(3, round(reach_px * half))
+        steps = np.arange(-reach - 2, reach + 3) / half
+        at = rim.pixels[:, None, :] + steps[None, :, None] * rim.normals[:, None, :]
+        profile = bilinear_at(self.values, at)
+        slope = 0.5 * (profile[:, 2:] - profile[:, :-2])
+        strength = np.sqrt((slope**2).sum(axis=2))[:, 1:-1]
+        ratio = model.of(profile)[:, 2:-2]
+        counts = np.ones(len(ratio), dtype=bool)
+        if self.mask is not None:
+            ratio = np.where(_at(self.mask, at)[:, 2:-2], ratio, 0.0)
+            # The step at the border of the mask is between a pixel that counts and one
+            # that does not.
+            near = cv2.dilate(self.mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+            within = _at(near, at)[:, 2:-2]
+            strength = np.where(within, strength, 0.0)
+            counts = np.logical_or.reduce(within, axis=1)
+        # Inside up to here, outside from here on; neighbours are not independent.
+        inside = np.cumsum(ratio, axis=1)
+        split = (2.0 * inside - inside[:, -1:]) / (half * 4.0)
+        positions = steps[2:-2]
+        noise = np.median(strength[counts]) + 1.0 if counts.any() else 1.0
+        score = (
+            split
+            + 2.0 * np.log1p(strength / noise)
+            - 0.5 * (positions / (0.5 * reach_px)) ** 2
+        )
+        rows = np.arange(len(score))
+        best = np.clip(score.argmax(axis=1), 1, len(positions) - 2)
+        # To the nearest top of the step's strength, then to a fraction by a parabola.
+        for _ in range(3):
+            left, here, right = (strength[rows, best + d] for d in (-1, 0, 1))
+            best = best + np.where((right > here) & (right >= left), 1, 0)
+            best = best - np.where((left > here) & (left > right), 1, 0)
+            best = np.clip(best, 1, len(positions) - 2)
         left, here, right = (strength[rows, best + d] for d in (-1, 0, 1))
-        best = best + np.where((right > here) & (right >= left), 1, 0)
-        best = best - np.where((left > here) & (left > right), 1, 0)
-        best = np.clip(best, 1, len(positions) - 2)
-    left, here, right = (strength[rows, best + d] for d in (-1, 0, 1))
-    bend = left - 2.0 * here + right
-    peak = (bend < 0.0) & (here >= left) & (here >= right) & (here > noise)
-    fraction = np.where(peak, 0.5 * (left - right) / np.where(peak, bend, 1.0), 0.0)
-    offset = positions[best] + np.clip(fraction, -0.5, 0.5) / half
-    shown = view.camera.contains(rim.pixels + offset[:, None] * rim.normals)
-    return RimEdges(np.where(peak & shown & counts, offset, np.nan), counts)
+        bend = left - 2.0 * here + right
+        peak = (bend < 0.0) & (here >= left) & (here >= right) & (here > noise)
+        fraction = np.where(peak, 0.5 * (left - right) / np.where(peak, bend, 1.0), 0.0)
+        offset = positions[best] + np.clip(fraction, -0.5, 0.5) / half
+        height, width = regions.shape
+        found = rim.pixels + offset[:, None] * rim.normals
+        shown = ((found >= 0.0) & (found <= [width - 1, height - 1])).all(axis=1)
+        return RimEdges(np.where(peak & shown & counts, offset, np.nan), counts)
 
 
-def _at(mask: Bool[np.ndarray, "h w"], maps: Float[np.ndarray, "n k 2"]) -> np.ndarray:
-    """The mask at the pixels nearest to ``maps``, beyond the border that on it."""
+def find_edges(photo: Photo, view: SurfaceView, rim: Rim, reach_px: float) -> RimEdges:
+    """The photo's edges along a rim's normals; see ``EdgeImage.edges``."""
+    image = EdgeImage.of(photo, (view.camera.width, view.camera.height))
+    return image.edges(rim, object_regions(view.covered, reach_px), reach_px)
+
+
+def _at(mask: Bool[np.ndarray, "h w"], at: Float[np.ndarray, "n k 2"]) -> np.ndarray:
+    """The mask at the pixels nearest to ``at``, beyond the border that on it."""
     height, width = mask.shape
-    columns = np.clip(np.rint(maps[..., 0]).astype(int), 0, width - 1)
-    rows = np.clip(np.rint(maps[..., 1]).astype(int), 0, height - 1)
+    columns = np.clip(np.rint(at[..., 0]).astype(int), 0, width - 1)
+    rows = np.clip(np.rint(at[..., 1]).astype(int), 0, height - 1)
     return mask[rows, columns]
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class RimTerm:
     """Distance of one photo's rim from the photo's edges: a term of the polish."""
 
@@ -213,8 +240,10 @@ class RimTerm:
     rim: Rim
     edges: Float[np.ndarray, "n 2"]
     """The edge that each rim point should fall on, in pixels of the view."""
-    cell_starts: Int[np.ndarray, "cells+1"]
-    """First point of each segment of the rim."""
+    cell_starts: Int[np.ndarray, "bounds"]
+    """First point of each segment of the rim; points are in its order."""
+    cells: Int[np.ndarray, "segments 2"]
+    """Column and row of each segment's cell."""
     size: tuple[int, int]
     """Width and height of the view."""
     increments: Increments
@@ -242,29 +271,44 @@ class RimTerm:
         found = np.isfinite(edges.offset_px)
         if found.sum() < 4 * SEGMENT_POINTS:
             return None
-        rim = Rim(rim.points[found], rim.pixels[found], rim.normals[found])
-        offset = edges.offset_px[found]
-        starts = np.append(
-            np.arange(0, len(offset) - SEGMENT_POINTS // 2, SEGMENT_POINTS), len(offset)
-        )
-        full = offset[: starts[-2]].reshape(-1, SEGMENT_POINTS)
-        medians = np.append(np.median(full, axis=1), np.median(offset[starts[-2] :]))
-        inner = offset - np.repeat(medians, np.diff(starts))
-        sigma = max(1.4826 * float(np.median(np.abs(inner))), MIN_SIGMA_PX)
-        centred = medians - np.median(medians)
-        spread = (1.4826 * float(np.median(np.abs(centred)))) ** 2
-        tau = np.sqrt(max(spread - sigma**2 / SEGMENT_POINTS, 0.0))
-        return cls(
-            photo,
+        cells = np.floor(rim.pixels[found] / (SEGMENT_SIDE * rim.stride_px))
+        cells = cells.astype(np.int64)
+        key = cell_keys(cells)
+        order = np.argsort(key, kind="stable")
+        cells, key, index = cells[order], key[order], np.flatnonzero(found)[order]
+        rim = dataclasses.replace(
             rim,
-            rim.pixels + offset[:, None] * rim.normals,
-            starts.astype(np.int64),
-            size,
-            increments,
-            sigma,
-            float(max(tau, 1e-3)),
-            outline_px,
-            weight,
+            points=rim.points[index],
+            pixels=rim.pixels[index],
+            normals=rim.normals[index],
+        )
+        offset = edges.offset_px[index]
+        starts = starts_of_cells(key)
+        counts = np.diff(starts)
+        medians = _medians(offset, key, starts)
+        inner = offset - np.repeat(medians, counts)
+        # Of a few points the median says too little.
+        whole = counts >= SEGMENT_POINTS // 2
+        if not whole.any():
+            return None
+        inner = np.abs(inner[np.repeat(whole, counts)])
+        sigma = max(1.4826 * float(np.median(inner)), MIN_SIGMA_PX)
+        centred = medians[whole] - np.median(medians[whole])
+        spread = (1.4826 * float(np.median(np.abs(centred)))) ** 2
+        noise = sigma**2 * float(np.mean(1.0 / counts[whole]))
+        tau = np.sqrt(max(spread - noise, 0.0))
+        return cls(
+            photo=photo,
+            rim=rim,
+            edges=rim.pixels + offset[:, None] * rim.normals,
+            cell_starts=starts,
+            cells=cells[starts[:-1]],
+            size=size,
+            increments=increments,
+            sigma=sigma,
+            tau=float(max(tau, 1e-3)),
+            outline=outline_px,
+            weight=weight,
         )
 
     def linearise(self, x: Float[np.ndarray, "p"]) -> Quadratic:
@@ -283,22 +327,16 @@ class RimTerm:
         normal -= (sums / totals[:, None]).T @ sums
         last = normal[-1, -1] + (self.sigma / self.outline) ** 2
         normal = normal[:-1, :-1] - np.outer(normal[:-1, -1], normal[-1, :-1]) / last
-        own = self._own
-        whole, gradient = np.zeros((len(x), len(x))), np.zeros(len(x))
-        whole[own, own] = normal
-        gradient[own] = J.T @ (weights * error)
-        return Quadratic(cost, gradient, whole)
+        return Quadratic(cost, J.T @ (weights * error), normal, self.rows)
 
     def tempered(self, x: Float[np.ndarray, "p"]) -> "RimTerm":
         """The term weighted by what its segments know at ``x``; see ``PairTerm``."""
         ratio = overdispersion(*self._own_scores(x))
         return dataclasses.replace(self, weight=self.weight / ratio)
 
-    def scatter(self, x: Float[np.ndarray, "p"]) -> Float[np.ndarray, "p p"]:
-        """Covariance of the gradient at ``x``."""
-        whole = np.zeros((len(x), len(x)))
-        whole[self._own, self._own] = scatter(*self._own_scores(x))
-        return whole
+    def scatter(self, x: Float[np.ndarray, "p"]) -> Float[np.ndarray, "k k"]:
+        """Covariance of the gradient at ``x``, of ``rows``."""
+        return scatter(*self._own_scores(x))
 
     def _own_scores(
         self, x: np.ndarray
@@ -307,9 +345,8 @@ class RimTerm:
 
         Where it is, if nothing can be reckoned there.
         """
-        limits = np.full(len(x), np.inf)
-        limits[self._own] = self.increments.limits
-        model = self.linearise(end := own_end(self.linearise(x), x, limits))
+        end = own_end(self.linearise(x), x, self.increments.limits, self._own)
+        model = self.linearise(end)
         if model.is_finite:
             x = end
         else:
@@ -318,21 +355,25 @@ class RimTerm:
         weights, error, _ = self._offsets(residual)
         J = -np.einsum("nd,ndp->np", self.rim.normals, rows) / self.sigma
         parts = np.add.reduceat((weights * error)[:, None] * J, self.cell_starts[:-1])
-        index = np.arange(len(parts))
         return (
             parts,
-            model.normal[self._own, self._own],
-            [index // length for length in BLOCK_LENGTHS],
+            model.normal,
+            [cell_keys(self.cells // side) for side in BLOCK_SIDES],
         )
 
     @property
     def _own(self) -> slice:
         """The increments of this term's camera."""
-        return slice(self.photo * N_INCREMENTS, (self.photo + 1) * N_INCREMENTS)
+        return self.increments.own(self.photo)
+
+    @property
+    def rows(self) -> Int[np.ndarray, "k"]:
+        """This camera's numbers among the increments of all."""
+        return numbers_of((self.photo,), (self.increments,))
 
     def _residuals(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        geometry = self.increments.geometry(x[self._own], *self.size)
-        pixels, rows = rim_rows(geometry, self.rim.points)
+        record = self.increments.record(x[self._own], *self.size)
+        pixels, rows = rim_rows(record, self.rim.points, self.increments.n)
         residual = np.einsum("nd,nd->n", self.rim.normals, self.edges - pixels)
         return residual / self.sigma, rows
 
@@ -342,7 +383,7 @@ class RimTerm:
         precision = self.weight * (self.sigma / self.tau) ** 2
         outline_precision = (self.sigma / self.outline) ** 2
         segments = cell_means(residual, starts)
-        segments *= self.tau**2 / (self.tau**2 + self.sigma**2 / SEGMENT_POINTS)
+        segments *= self.tau**2 / (self.tau**2 + self.sigma**2 / counts)
         outline = 0.0
         for _ in range(6):
             error = residual - outline - np.repeat(segments, counts)
@@ -360,3 +401,15 @@ class RimTerm:
             + 0.5 * outline_precision * outline**2
         )
         return self.weight / (1.0 + (error / CUT) ** 2), error, cost
+
+
+def _medians(
+    values: Float[np.ndarray, "n"],
+    keys: Int[np.ndarray, "n"],
+    starts: Int[np.ndarray, "bounds"],
+) -> Float[np.ndarray, "segments"]:
+    """Median of each segment's values; ``keys`` are in order, and begin at ``starts``."""
+    ordered = values[np.lexsort((values, keys))]
+    counts = np.diff(starts)
+    low, high = starts[:-1] + (counts - 1) // 2, starts[:-1] + counts // 2
+    return 0.5 * (ordered[low] + ordered[high])

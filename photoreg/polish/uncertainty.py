@@ -6,9 +6,18 @@ import numpy as np
 from jaxtyping import Float
 
 from photoreg.geometry.camera import Camera
+from photoreg.geometry.lens import TERMS, Lens
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.surface_view import camera_rays, surface_view
-from photoreg.parameters.increments import N_INCREMENTS, NAMES, Increments
+from photoreg.parameters.camera_parameters import (
+    FOCAL,
+    LENS_TERMS,
+    POSITION,
+    PRINCIPAL,
+    ROTATION,
+    Parameter,
+)
+from photoreg.parameters.increments import Increments
 from photoreg.polish.kernels import rim_rows
 from photoreg.polish.polish_cameras import PolishStep
 from photoreg.words import listed
@@ -25,34 +34,49 @@ _VIEW_SIDE_PX = 96
 class CameraUncertainty:
     """Standard errors of one camera, and what they mean in its photo."""
 
-    rotation_deg: tuple[float, float, float]
-    """About the photo's x axis, y axis and in its plane, in degrees."""
-    position_share: tuple[float, float, float]
-    """Sideways, vertical and along the view, as shares of the camera's distance."""
-    focal_share: float
-    """Focal length, as a share of itself."""
-    principal_px: tuple[float, float]
-    """Principal point, in pixels."""
+    errors: tuple[float, ...]
+    """Of each parameter, as it is told: degrees, percent of the distance and of the
+    focal length, pixels; 0 where it was held."""
+    parameters: tuple[Parameter, ...]
+    """What the errors are of."""
+    lens: Lens
+    """The lens that the errors of its terms are about."""
     expected_error_px: float
     """Expected distance, root of the mean square over the surface that the photo sees,
-    between where the camera puts the surface and where it is, in pixels."""
+    between where the camera puts the surface and where it is, in pixels. Of a single photo
+    how far a wrong scan draws it is in it too."""
 
     def in_words(self, name: str) -> str:
         """The standard errors in one sentence about the photo called ``name``."""
-        aside, along = max(self.position_share[:2]), self.position_share[2]
+        turn = max(self.errors[ROTATION])
+        *across, along = self.errors[POSITION]
         pose = "rotation and position held"
-        if max(*self.rotation_deg, aside, along) > 0.0:
+        if max(turn, *across, along) > 0.0:
             pose = (
-                f"rotation ±{max(self.rotation_deg):.2g}°, position ±{100.0 * aside:.2g} "
-                f"% of the distance across the view and ±{100.0 * along:.2g} % along it"
+                f"rotation ±{turn:.2g}°, position ±{max(across):.2g} % of the distance "
+                f"across the view and ±{along:.2g} % along it"
             )
-        focal, principal = self.focal_share, max(self.principal_px)
-        focal_words = f"±{100.0 * focal:.2g} %" if focal > 0.0 else "held"
+        focal, principal = self.errors[FOCAL], max(self.errors[PRINCIPAL])
+        focal_words = f"±{focal:.2g} %" if focal > 0.0 else "held"
         principal_words = f"±{principal:.2g} px" if principal > 0.0 else "held"
         return (
             f"{name}: expected error {self.expected_error_px:.2g} px; {pose}, focal "
-            f"length {focal_words}, principal point {principal_words}."
+            f"length {focal_words}, principal point {principal_words}"
+            f"{self._lens_words()}."
         )
+
+    def _lens_words(self) -> str:
+        errors = self.errors[LENS_TERMS]
+        if not errors:
+            return ""
+        if not max(errors) > 0.0:
+            return ", lens held"
+        told = ", ".join(
+            f"{term} {value:.3f} ± {error:.2g}"
+            for term, value, error in zip(TERMS, self.lens.terms, errors, strict=False)
+            if error > 0.0
+        )
+        return f", lens {told}"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -61,7 +85,7 @@ class Uncertainty:
 
     cameras: tuple[CameraUncertainty, ...]
     covariance: Float[np.ndarray, "p p"]
-    """Of the nine increments of each camera, in units of the prior."""
+    """Of the increments of each camera, in units of the prior."""
     undetermined: tuple[str, ...]
     """Directions that the photos leave open, in plain words; the weakest first."""
 
@@ -98,33 +122,28 @@ def estimate_uncertainty(
     for i, (increments, camera) in enumerate(
         zip(step.increments, step.cameras, strict=True)
     ):
-        own = slice(i * N_INCREMENTS, (i + 1) * N_INCREMENTS)
+        own = increments.own(i)
         block = covariance[own, own]
-        errors = np.sqrt(np.diag(block)) * plain_units(increments)
+        errors = np.sqrt(np.diag(block)) * increments.plain_units
         cameras.append(
             CameraUncertainty(
-                (float(errors[0]), float(errors[1]), float(errors[2])),
-                (float(errors[3]), float(errors[4]), float(errors[5])),
-                float(errors[6]),
-                (float(errors[7]), float(errors[8])),
-                _expected_error_px(mesh, increments, camera, step.x[own], block),
+                tuple(errors.tolist()),
+                increments.parameters,
+                camera.lens,
+                float(
+                    np.hypot(
+                        _expected_error_px(
+                            mesh, increments, camera, step.x[own], block
+                        ),
+                        step.bias_px,
+                    )
+                ),
             )
         )
     return Uncertainty(
         tuple(cameras),
         covariance,
         undetermined_directions(free, step.increments, names, along),
-    )
-
-
-def plain_units(increments: Increments) -> Float[np.ndarray, "9"]:
-    """One unit of each increment: degrees, shares of the distance, a share, pixels."""
-    scales = increments.scales
-    return np.array(
-        [scales.rotation_deg] * 3
-        + [scales.translation] * 3
-        + [scales.focal]
-        + list(increments.units[7:9])
     )
 
 
@@ -150,23 +169,17 @@ def undetermined_directions(
         main = main[np.abs(amounts[main]) >= 0.5 * np.abs(amounts[main[0]])][:4]
         parts = []
         for index in main:
-            photo, which = divmod(int(rows[index]), N_INCREMENTS)
-            size = abs(amounts[index]) * plain_units(increments[photo])[which]
-            parts.append(f"{NAMES[which]} of {names[photo]} (±{_amount(which, size)})")
+            photo, which = divmod(int(rows[index]), increments[0].n)
+            size = abs(amounts[index]) * increments[photo].plain_units[which]
+            one = increments[photo].parameters[which]
+            amount = one.words.format(size)
+            parts.append(f"{one.name} of {names[photo]} (±{amount})")
         if len(parts) == 1:
             sentences.append(f"The photos hardly determine the {parts[0]}.")
         else:
             words = f"{listed(parts)} trade off."
             sentences.append(words[0].upper() + words[1:])
     return tuple(sentences)
-
-
-def _amount(which: int, size: float) -> str:
-    if which < 3:
-        return f"{size:.2g}°"
-    if which < 7:
-        return f"{100.0 * size:.2g} %"
-    return f"{size:.2g} px"
 
 
 def _expected_error_px(
@@ -176,10 +189,7 @@ def _expected_error_px(
     x: np.ndarray,
     covariance: np.ndarray,
 ) -> float:
-    scale = min(1.0, _VIEW_SIDE_PX / max(camera.width, camera.height))
-    small = camera.resized(
-        max(2, round(camera.width * scale)), max(2, round(camera.height * scale))
-    )
+    small = camera.reduced(_VIEW_SIDE_PX)
     view = surface_view(mesh, small)
     rows, columns = np.nonzero(view.covered)
     if len(rows) == 0:
@@ -187,7 +197,7 @@ def _expected_error_px(
     origins, directions = camera_rays(small, np.column_stack([columns, rows]) * 1.0)
     points = origins + view.depth[rows, columns][:, None] * directions
     _, by_increments = rim_rows(
-        increments.geometry(x, camera.width, camera.height), points
+        increments.record(x, camera.width, camera.height), points, increments.n
     )
     variance = np.einsum("nij,jk,nik->n", by_increments, covariance, by_increments)
     return float(np.sqrt(variance.mean()))

@@ -11,6 +11,7 @@ from photoreg.limits import Limits
 from photoreg.project.files import FileProblem
 from photoreg.project.project import Project, StoredStep
 from photoreg.project.values import Loaded
+from photoreg.sources import SourceFile
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,6 +32,7 @@ def check_project(
     document: Any = Any,
     settings: Mapping[str, Any] | None = None,
     *,
+    files: Mapping[str, SourceFile] | None = None,
     limits: Limits | None = None,
     on_part: Callable[[str], None] = lambda _: None,
 ) -> CheckedProject:
@@ -41,6 +43,7 @@ def check_project(
         types: The dataclasses that its documents consist of.
         document: The type of its documents.
         settings: The types of its settings by name; others are not read.
+        files: Files of the project, by key, that are elsewhere than it knows.
         limits: How large it may be; None: as the environment says.
         on_part: Told what is read next.
 
@@ -50,6 +53,7 @@ def check_project(
     """
     on_part("its database")
     project = Project(folder, types, create=False, look_only=True, limits=limits)
+    project.files.assume(files or {})
     try:
         for name, kind in (settings or {}).items():
             project.read_setting(name, None, kind)

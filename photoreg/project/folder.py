@@ -5,7 +5,6 @@ What is read or written here is a regular file at its own place or nothing.
 """
 
 import contextlib
-import errno
 import hashlib
 import os
 import stat
@@ -13,6 +12,7 @@ import uuid
 from pathlib import Path
 
 from photoreg.errors import OutputError
+from photoreg.sources import open_for_reading, open_regular
 
 DATABASE = "project.db"
 DATABASE_COMPANIONS = tuple(f"{DATABASE}-{end}" for end in ("wal", "shm", "journal"))
@@ -26,9 +26,10 @@ SUBFOLDER = "photoreg-project"
 Identity = tuple[int, int]
 """Device and number of a file: the same under another name, another after a copy."""
 
+MAKE_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL
+"""How a file is opened that must not be there yet."""
+
 _JUNCTION = 0xA0000003
-_NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-_BYTES = getattr(os, "O_BINARY", 0)
 
 
 class FolderInUseError(OutputError):
@@ -76,35 +77,13 @@ def identity(found: os.stat_result) -> Identity:
     return found.st_dev, found.st_ino
 
 
-def open_regular(
-    path: Path | str, flags: int = os.O_RDONLY, inside: int | None = None
-) -> int:
-    """Opens a regular file.
-
-    Args:
-        path: Where it is.
-        flags: As of `os.open`.
-        inside: Handle of the folder that a relative path begins at.
-
-    Raises:
-        OSError: if it cannot be opened, or is a link, a pipe or a device.
-    """
-    if inside is None and (found := look(path)) is not None and not is_file(found):
-        raise OSError(errno.EINVAL, "it is not a regular file", str(path))
-    handle = os.open(path, flags | _NO_LINK | _BYTES, 0o666, dir_fd=inside)
-    if not stat.S_ISREG(os.fstat(handle).st_mode):
-        os.close(handle)
-        raise OSError(errno.EINVAL, "it is not a regular file", str(path))
-    return handle
-
-
 def has_content(path: Path, size: int, sha256: str) -> os.stat_result | None:
     """The regular file at ``path`` if its content is that; None otherwise."""
     found = look(path)
     if found is None or not is_file(found) or found.st_size != size:
         return None
     try:
-        with os.fdopen(open_regular(path), "rb") as file:
+        with open_for_reading(path, follow_link=False) as file:
             if identity(os.fstat(file.fileno())) != identity(found):
                 return None
             digest = hashlib.file_digest(file, "sha256").hexdigest()
@@ -130,7 +109,7 @@ def write_new(path: Path, content: bytes, partial: Path) -> None:
         FileExistsError: if something is at ``path``.
         OSError: if it cannot be written.
     """
-    handle = open_regular(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL)
+    handle = open_regular(partial, MAKE_NEW, follow_link=False)
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(content)
@@ -151,7 +130,7 @@ def _put(partial: Path, path: Path) -> None:
         raise
     except OSError:
         # A file system without hard links: the name is taken first, then filled.
-        os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _NO_LINK))
+        os.close(open_regular(path, MAKE_NEW, follow_link=False))
         partial.replace(path)
 
 

@@ -9,7 +9,8 @@ import sys
 from pathlib import Path
 
 from photoreg.errors import InputError
-from photoreg.project.folder import LOCK, identity, is_file, look, open_regular
+from photoreg.project.folder import LOCK, identity, is_file, look
+from photoreg.sources import open_for_reading, open_regular
 
 OURS = re.compile(rb"process \d+ on ")
 MAX_BYTES = 300
@@ -20,6 +21,10 @@ class FolderLock:
 
     Two locks are one: of the file `project.lock`, which also tells who holds it, and of
     the folder itself, which no removal of that file undoes.
+
+    The package filelock (4.3.1, tried) does not serve: it locks no folders, so that when
+    the lock's file is removed or replaced two programs hold it and neither is told, and
+    it takes a file that is somebody else's by another name (a hard link).
     """
 
     def __init__(self, folder: Path) -> None:
@@ -62,8 +67,7 @@ class FolderLock:
     def holder(self) -> str:
         """Who holds it, as far as is known."""
         with contextlib.suppress(OSError, UnicodeDecodeError):
-            handle = open_regular(self._path)
-            with os.fdopen(handle, "rb") as file:
+            with open_for_reading(self._path, follow_link=False) as file:
                 text = file.read(MAX_BYTES)
             return text.decode().strip() if OURS.match(text) else ""
         return ""
@@ -76,7 +80,7 @@ class FolderLock:
         """
         if self._folder_handle is None or os.open not in os.supports_dir_fd:
             return None
-        return open_regular(path, inside=self._folder_handle)
+        return open_regular(path, follow_link=False, inside=self._folder_handle)
 
     def remove(self) -> None:
         """Ends it, and removes its file: for a folder that goes as a whole."""
@@ -113,7 +117,8 @@ class FolderLock:
         found = look(self._path)
         if found is not None and (not is_file(found) or found.st_nlink > 1):
             raise self._foreign()
-        handle = open_regular(self._path, os.O_RDWR | os.O_CREAT)
+        flags = os.O_RDWR | os.O_CREAT
+        handle = open_regular(self._path, flags, follow_link=False)
         try:
             taken = _lock(handle)
             now = look(self._path)

@@ -36,7 +36,6 @@ from photoreg.project.folder import (
     identity,
     is_folder,
     look,
-    open_regular,
 )
 from photoreg.project.guard import HEADER, WAL, check_files, harden, reading
 from photoreg.project.lock import FolderLock, is_on_network
@@ -45,7 +44,7 @@ from photoreg.project.runs import ProjectRuns
 from photoreg.project.schema import now_utc, prepare, transaction, why
 from photoreg.project.types import check_value
 from photoreg.project.values import FromFile, Loaded, Values
-from photoreg.sources import read_regular
+from photoreg.sources import open_for_reading, read_regular
 
 MAX_CHECKED_BYTES = 64 << 20
 """Databases up to this size are checked for damage when opened (0.1 s)."""
@@ -232,7 +231,7 @@ class Project:
             return "rwc"
         log = look(self.path.with_name(f"{DATABASE}-wal"))
         with contextlib.suppress(OSError):
-            with os.fdopen(open_regular(self.path), "rb") as file:
+            with open_for_reading(self.path, follow_link=False) as file:
                 head = file.read(100)
             if head[: len(HEADER)] != HEADER:
                 raise sqlite3.DatabaseError("it is no database")
@@ -444,6 +443,10 @@ class Project:
     def _position(self) -> int:
         return self._get("position", 0, int)
 
+    def take(self, loaded: Loaded) -> None:
+        """Takes meshes and photos that need not be read from their files again."""
+        self._values.take(loaded)
+
     def file_problems(self) -> list[FileProblem]:
         """The files of the document in force that are missing or changed.
 
@@ -600,7 +603,9 @@ class Project:
     def _read_kept(self, path: Path) -> bytes:
         """An uploaded file, even if the folder bears another name meanwhile."""
         handle = self._lock.open_inside(path.relative_to(self.folder))
-        with os.fdopen(handle or open_regular(path), "rb") as file:
+        if handle is None:
+            return read_regular(path, follow_link=False)
+        with os.fdopen(handle, "rb") as file:
             return file.read()
 
     def collect_garbage(self) -> int:

@@ -20,7 +20,7 @@ Cameras = tuple[Camera, ...]
 T = TypeVar("T")
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class StoredRun:
     """A refinement as the project remembers it."""
 

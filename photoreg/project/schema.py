@@ -77,6 +77,10 @@ MIGRATIONS: tuple[str, ...] = (
         size INTEGER
     ) WITHOUT ROWID;
     """,
+    """
+    -- Nothing is stored otherwise, but cameras may have lenses now, which a photoreg of
+    -- before would pass over: it is to refuse the project instead.
+    """,
 )
 """What leads from each version to the next; the first makes an empty file version 1."""
 

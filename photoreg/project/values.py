@@ -98,6 +98,10 @@ class Values:
             weakref.WeakValueDictionary()
         )
 
+    def take(self, loaded: Loaded) -> None:
+        """Takes more of what need not be read from its file again."""
+        self._loaded.update(loaded)
+
     def text_of(self, value: object) -> str:
         """The text of a value; its long parts are written to the database.
 

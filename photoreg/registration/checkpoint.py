@@ -104,16 +104,16 @@ class Checkpoint:
         # numpy refuses what is not its state.
         np.random.PCG64().state = body["random_state"]
         search = Generation(
-            int(body["restart"]),
-            int(body["generation"]),
-            genes,
-            costs,
-            best,
-            float(body["best_cost"]),
-            int(body["evaluations"]),
-            int(body["unchanged"]),
-            body["stop"],
-            body["random_state"],
+            restart=int(body["restart"]),
+            generation=int(body["generation"]),
+            genes=genes,
+            costs=costs,
+            best_genes=best,
+            best_cost=float(body["best_cost"]),
+            evaluations=int(body["evaluations"]),
+            unchanged=int(body["unchanged"]),
+            stop=body["stop"],
+            random_state=body["random_state"],
         )
         return cls(
             str(body["problem"]),
@@ -160,22 +160,31 @@ def problem_digest(
     for camera in cameras:
         for array in (camera.K, camera.R_cam_world, camera.t_cam_world):
             _add(digest, array)
+        if not camera.lens.is_ideal:
+            digest.update(repr(camera.lens).encode())
+    # Of refinements that know no lenses the digest is what it always was.
+    for i, held in enumerate(freedom.held):
+        if held.lens:
+            digest.update(f"lens {i} held".encode())
+    for i in freedom.cropped:
+        digest.update(f"photo {i} cropped".encode())
     return digest.hexdigest()
 
 
-def _changed_new_settings(config: object) -> list[tuple[str, object]]:
+def _changed_new_settings(config: object, prefix: str = "") -> list[tuple[str, object]]:
     """Names and values of settings that ``repr`` leaves out and that were changed.
 
     A setting that is new must not turn away searches that were kept without it: as
     long as it has its default, it is as if it were not there.
     """
-    if not dataclasses.is_dataclass(config):
-        return []
-    return [
-        (field.name, getattr(config, field.name))
-        for field in dataclasses.fields(config)
-        if not field.repr and getattr(config, field.name) != field.default
-    ]
+    changed = []
+    if dataclasses.is_dataclass(config):
+        for field in dataclasses.fields(config):
+            name, value = prefix + field.name, getattr(config, field.name)
+            if not field.repr and value != field.default:
+                changed.append((name, value))
+            changed += _changed_new_settings(value, f"{name}.")
+    return changed
 
 
 def _add(digest: Any, array: np.ndarray) -> None:

@@ -1,4 +1,4 @@
-"""Everything a refinement can be told, and the named settings."""
+"""All settings of a refinement, and the presets."""
 
 import dataclasses
 from typing import Annotated, Literal
@@ -7,6 +7,7 @@ import numpy as np
 import tyro
 
 from photoreg.errors import InputError
+from photoreg.geometry.lens import N_TERMS, Distortion
 from photoreg.geometry.visibility import VisibilityMethod
 from photoreg.parameters.bounds import PriorScales
 from photoreg.parameters.genes import CameraModel, Coordinates, GeneBox
@@ -44,9 +45,9 @@ SHORT_SEARCH = GeneticConfig(
 POLISH = PolishConfig()
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class RegistrationConfig:
-    """Everything that a refinement can be told."""
+    """All settings of a refinement."""
 
     seed: int = 0
     """Same seed, same answer, whatever the number of threads; 0 to 2^63 - 1."""
@@ -88,7 +89,16 @@ class RegistrationConfig:
     """How much farther than its interval of the box the polish lets a principal point
     go, above 0 and at most 50. 1: no farther, as with every other interval."""
 
+    distortion: Distortion = dataclasses.field(default="auto", repr=False)
+    """How much of each lens the polish solves: none (all stays as given), auto (k1, the
+    first radial term, and all five where the photos decide them), k1, k1k2, or full (k1,
+    k2, p1, p2, k3)."""
+
     def __post_init__(self) -> None:
+        if self.distortion not in N_TERMS:
+            raise InputError(
+                f"distortion is {self.distortion!r}; choose {', '.join(N_TERMS)}."
+            )
         if not 0 <= self.seed <= LARGEST_SEED:
             raise InputError(f"seed is {self.seed:g}; give 0 to {LARGEST_SEED:,}.")
         if not 10 <= self.samples <= MOST_SAMPLES:

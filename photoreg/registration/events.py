@@ -7,7 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from photoreg.geometry.camera import Camera
+from photoreg.imaging.pairs import Pair
 from photoreg.parameters.genes import GeneMap
+from photoreg.polish.correspondence_stage import MeshError
 from photoreg.registration.checkpoint import Checkpoint
 from photoreg.registration.verdict import Verdict
 
@@ -34,7 +36,7 @@ class Population:
         return self.gene_map.poses(self.genes[best]).centers
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Progress:
     """One step of a running refinement."""
 
@@ -69,11 +71,12 @@ class Progress:
     """The living individuals; None outside the search. Held, not copied: leave it out
     of what is sent to another process (``dataclasses.replace``) where nobody asks."""
     checkpoint: Checkpoint | None = None
-    """What ``refine`` needs to go on from here; None before the search has begun. Made
-    of the same arrays as ``population``."""
+    """What ``refine`` needs to go on from here; None before the search has begun, and
+    where more than four photos are searched for one after the other: that begins anew, to
+    the same answer. Made of the same arrays as ``population``."""
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Finished:
     """How a refinement ended."""
 
@@ -103,10 +106,16 @@ class Finished:
     """How sure each camera is, in plain words: one sentence a photo that took part."""
     undetermined: tuple[str, ...] = ()
     """What the photos leave open, in plain words, the weakest first."""
+    mesh_error: MeshError | None = None
+    """How far the mesh is from the surface that the photos show, in pixels of these on
+    average; None where too few patches of the photos match, and where the start was
+    kept."""
     verdict: Verdict | None = None
     """Whether the answer convinces. An unconvincing one is the first of the warnings
     too. None where no polish ran: what the search alone finds is not precise enough to
     be judged."""
+    pairs: tuple[Pair, ...] = ()
+    """The photos that were compared with each other, by index."""
 
     @property
     def expected_error_px(self) -> float | None:

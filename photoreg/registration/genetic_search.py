@@ -10,17 +10,23 @@ from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.sampling import SurfaceSamples, sample_surface
 from photoreg.geometry.visibility import visible
 from photoreg.imaging.photo import Photo
+from photoreg.imaging.undistort import undistorted_photo
 from photoreg.parameters.freedom import Freedom
 from photoreg.parameters.genes import GeneMap
 from photoreg.registration.checkpoint import Checkpoint
 from photoreg.registration.config import RegistrationConfig
 from photoreg.search.foreground import Foreground
 from photoreg.search.genetic import Generation, evolve
+from photoreg.search.mutual_information import MutualInformation
 from photoreg.search.photo_consistency import PhotoConsistency, patches_of
 
 
 class GeneticSearch:
-    """A search around rough cameras, ready to run."""
+    """A search around rough cameras, ready to run.
+
+    It knows no lenses: it sees the photos undistorted, as the start's lenses have it, by
+    cameras without, and its answers have the start's lenses again.
+    """
 
     def __init__(
         self,
@@ -32,18 +38,31 @@ class GeneticSearch:
     ) -> None:
         """Draws the samples and looks for what is hidden from ``start``.
 
+        One photo is compared with the surface, more with each other.
+
         Raises:
-            RefinementError: if no two photos see a common part of the surface.
+            RefinementError: if no two of several photos see a common part of the surface.
         """
+        self._lenses = [camera.lens for camera in start]
+        photos = [
+            undistorted_photo(photo, camera)
+            for photo, camera in zip(photos, start, strict=True)
+        ]
+        start = [camera.pinhole for camera in start]
         self._mesh, self._photos, self._config = mesh, photos, config
         self._start = start
-        samples = shared_samples(mesh, start, config)
-        patches = None
-        if config.consistency.cost == "mncc":
-            patches = patches_of(mesh, samples, start, config.consistency)
-        self.consistency = PhotoConsistency(
-            samples, photos, config.consistency, patches=patches
-        )
+        self.agreement: PhotoConsistency | MutualInformation
+        """What photos are compared by."""
+        if len(photos) == 1:
+            self.agreement = MutualInformation(mesh, photos[0], start[0], config.seed)
+        else:
+            samples = shared_samples(mesh, start, config)
+            patches = None
+            if config.consistency.cost == "mncc":
+                patches = patches_of(mesh, samples, start, config.consistency)
+            self.agreement = PhotoConsistency(
+                samples, photos, config.consistency, patches=patches
+            )
         self.gene_map = GeneMap(
             start,
             mesh.centroid,
@@ -56,7 +75,8 @@ class GeneticSearch:
         """Genes from whose cameras hidden points were last looked for; None: the start."""
         self._resumed: Generation | None = None
         self._hide(start)
-        self.consistency.require(start)
+        if isinstance(self.agreement, PhotoConsistency):
+            self.agreement.require(start)
 
     def go_on_from(self, checkpoint: Checkpoint) -> tuple[Camera, ...]:
         """Makes ``generations`` go on from there; returns the best cameras until then.
@@ -81,7 +101,11 @@ class GeneticSearch:
 
     def cameras(self, generation: Generation) -> tuple[Camera, ...]:
         """The best cameras of a generation."""
-        return tuple(self.gene_map.to_cameras(generation.best_genes))
+        found = self.gene_map.to_cameras(generation.best_genes)
+        return tuple(
+            camera.with_lens(lens)
+            for camera, lens in zip(found, self._lenses, strict=True)
+        )
 
     def generations(self) -> Iterator[Generation]:
         """Runs the search."""
@@ -101,21 +125,21 @@ class GeneticSearch:
 
     def _cost(self) -> Callable[[np.ndarray], np.ndarray]:
         """Cost of genes: colours that differ, object off its colours, far from start."""
-        consistency, gene_map = self.consistency, self.gene_map
+        agreement, gene_map = self.agreement, self.gene_map
         pull, share = self._config.pull, self._config.foreground
         if share == 0.0:
             return lambda genes: (
-                consistency.costs(genes, gene_map)
+                agreement.costs(genes, gene_map)
                 * (1.0 + pull * np.mean(genes**2, axis=1))
             )
         foreground = Foreground(
             self._mesh, self._photos, self._start, self._config.seed
         )
         # In units of the colours' cost: as the start has it, all of it disagreement.
-        unit = share * consistency.cost(self._start)
+        unit = share * agreement.cost(self._start)
         return lambda genes: (
             (
-                consistency.costs(genes, gene_map)
+                agreement.costs(genes, gene_map)
                 + unit * foreground.misfits(genes, gene_map)
             )
             * (1.0 + pull * np.mean(genes**2, axis=1))
@@ -123,12 +147,12 @@ class GeneticSearch:
 
     def _hide(self, cameras: Sequence[Camera]) -> None:
         """Takes away the votes of what cannot be seen from ``cameras``."""
-        method = self._config.occlusion
-        if method != "normals":
+        method, agreement = self._config.occlusion, self.agreement
+        if method != "normals" and isinstance(agreement, PhotoConsistency):
             # Which way a point faces is tested for each individual: not here.
-            self.consistency.allow(
+            agreement.allow(
                 visible(
-                    self.consistency.samples,
+                    agreement.samples,
                     cameras,
                     self._mesh,
                     method,

@@ -1,4 +1,4 @@
-"""Whether photos and rough cameras can be refined at all, told before it is tried."""
+"""Whether photos and rough cameras can be refined at all, found out beforehand."""
 
 import dataclasses
 import itertools
@@ -11,13 +11,15 @@ from jaxtyping import Bool, Float
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
-from photoreg.geometry.sampling import SurfaceSamples, sample_surface
+from photoreg.geometry.sampling import sample_surface
 from photoreg.geometry.surface_view import surface_view
 from photoreg.geometry.visibility import visible
+from photoreg.geometry.winding import facing_cameras
 from photoreg.imaging.photo import Photo
 from photoreg.polish.silhouette_term import SEGMENT_POINTS, find_edges, find_rim
 
 N_SAMPLES = 3_000
+"""Shares of the surface are then right to 1 % (one standard error, at a half)."""
 MIN_COSINE = 0.25
 """Surface seen at a flatter angle than 75 degrees does not count as seen."""
 
@@ -48,20 +50,19 @@ photos' noise measures 0.5; at 0.8 the cameras stay where they were, at 1.2 they
 skin) to 35."""
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Readiness:
     """What can be said of a refinement before it starts."""
 
-    overlap: float
-    """Of the surface points that any photo sees, the share that two or more see."""
+    overlap: float | None
+    """Of the surface points that any photo sees, the share that two or more see; None
+    where there is but one photo, which is compared with the surface itself."""
     blind: tuple[str, ...]
     """Photos whose cameras do not see the surface."""
     alone: tuple[str, ...]
     """Photos that share hardly any of what they see with another one."""
     plain: tuple[str, ...]
     """Photos with too little texture on the surface."""
-    is_inside_out: bool = False
-    """Whether all cameras would see far more if the mesh's faces were turned."""
     masked: tuple[str, ...] = ()
     """Photos whose masks leave hardly anything of the surface."""
     featureless: tuple[str, ...] = ()
@@ -72,7 +73,9 @@ class Readiness:
     @property
     def is_possible(self) -> bool:
         """Whether a refinement can start."""
-        return self.overlap > 0.0 and not self.is_inside_out and not self.refusals
+        if self.overlap is None:
+            return not self.blind and not self.refusals
+        return self.overlap > 0.0 and not self.refusals
 
     @property
     def refusals(self) -> tuple[str, ...]:
@@ -80,8 +83,8 @@ class Readiness:
         return (
             *(
                 f"The mask of {name} leaves hardly anything of the surface, so nothing "
-                "can be compared there: clear the mask or take less away, or leave the "
-                "photo out."
+                "can be compared there: clear the mask, mask less, or leave the photo "
+                "out."
                 for name in self.masked
             ),
             *(
@@ -90,8 +93,8 @@ class Readiness:
                 for name in self.featureless
             ),
             *(
-                f"{first} and {second} are the same picture, so comparing them tells "
-                "nothing: leave one of them out."
+                f"{first} and {second} are the same picture, so there is nothing "
+                "to compare: leave one of them out."
                 for first, second in self.same
             ),
         )
@@ -99,16 +102,19 @@ class Readiness:
     @property
     def problems(self) -> tuple[str, ...]:
         """What stands in the way and what to do about it, one sentence each."""
-        if self.is_inside_out:
-            return (
-                "The mesh is inside out: its triangles turn their backs to the cameras. "
-                "Flip its normals in the program that made it, and open it again.",
-            )
         found = list(self.refusals)
         found += [
             f"The camera of {name} sees nothing of the surface: align it in tab 2."
             for name in self.blind
         ]
+        if self.overlap is None:
+            found += [
+                f"{name} shows hardly any shading or texture on the surface: only its "
+                "outline can decide."
+                for name in self.plain
+                if name not in self.featureless
+            ]
+            return tuple(found)
         if self.overlap == 0.0 and not self.masked:
             found.append(
                 "No part of the surface is seen by two photos, so they cannot be "
@@ -116,13 +122,13 @@ class Readiness:
             )
         elif self.overlap < FEW:
             found.append(
-                "The photos hardly overlap on the surface: the answer would rest on "
-                "little. Align better, or take photos from nearer viewpoints."
+                "The photos hardly overlap on the surface: the answer would be "
+                "poorly determined. Align better, or take photos from nearer viewpoints."
             )
         if self.overlap >= FEW:
             found += [
-                f"{name} shares hardly any surface with the other photos: it will be "
-                "held by its outline only."
+                f"{name} shares hardly any surface with the other photos: only its "
+                "outline will hold it in place."
                 for name in self.alone
             ]
         found += [
@@ -145,13 +151,14 @@ def check_readiness(
         cameras: One camera a photo, for its full size.
 
     Raises:
-        InputError: if photos and cameras are not of one number.
+        InputError: if there are not as many cameras as photos.
     """
     if len(photos) != len(cameras):
         raise InputError(
             f"There are {len(photos)} photos but {len(cameras)} cameras; give one camera "
-            "a photo."
+            "per photo."
         )
+    mesh = facing_cameras(mesh, cameras)
     samples = sample_surface(mesh, N_SAMPLES, 0)
     seen = visible(samples, cameras, mesh, "rays", MIN_COSINE)
     masked, counted = [], []
@@ -169,7 +176,7 @@ def check_readiness(
         if photo.name in masked:
             continue
         with_others = own & shared
-        if with_others.sum() < FEW * own.sum():
+        if len(photos) > 1 and with_others.sum() < FEW * own.sum():
             alone.append(photo.name)
         points = samples.points[with_others if with_others.any() else own]
         if texture_contrast(photo, camera, points) < MIN_CONTRAST:
@@ -179,14 +186,13 @@ def check_readiness(
                 featureless.append(photo.name)
     overlap = float(shared.sum() / max(1, either.sum()))
     return Readiness(
-        overlap,
-        tuple(blind),
-        tuple(alone),
-        tuple(plain),
-        _is_inside_out(samples, mesh, cameras, facing),
-        tuple(masked),
-        tuple(featureless),
-        tuple(
+        overlap=overlap if len(photos) > 1 else None,
+        blind=tuple(blind),
+        alone=tuple(alone),
+        plain=tuple(plain),
+        masked=tuple(masked),
+        featureless=tuple(featureless),
+        same=tuple(
             (one.name, other.name)
             for one, other in itertools.combinations(photos, 2)
             if _is_same_picture(one, other)
@@ -225,21 +231,6 @@ def _is_same_picture(one: Photo, other: Photo) -> bool:
     return (
         a.shape == b.shape and np.array_equal(a[::64], b[::64]) and np.array_equal(a, b)
     )
-
-
-def _is_inside_out(
-    samples: SurfaceSamples,
-    mesh: Mesh,
-    cameras: Sequence[Camera],
-    seen: Bool[np.ndarray, "n_cameras n"],
-) -> bool:
-    """Whether every camera sees the surface from behind, as good as nowhere in front."""
-    front = seen.sum(axis=1)
-    if (front > FEW * len(samples.points)).any():
-        return False
-    turned = dataclasses.replace(samples, normals=-samples.normals)
-    back = visible(turned, cameras, mesh, "rays", MIN_COSINE).sum(axis=1)
-    return bool((back > 10 * front).all())
 
 
 def texture_contrast(

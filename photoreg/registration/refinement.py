@@ -1,4 +1,4 @@
-"""The whole refinement: prepare, search, polish, and the events that tell of it."""
+"""The whole refinement: prepare, search, polish, and the events that report on it."""
 
 import dataclasses
 import time
@@ -7,13 +7,25 @@ from collections.abc import Generator, Iterator, Sequence
 import numpy as np
 
 from photoreg.errors import InputError, RefinementError
-from photoreg.geometry.camera import Camera
+from photoreg.geometry.camera import Camera, reduced_size
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.sampling import sample_surface
-from photoreg.geometry.visibility import visible
-from photoreg.imaging.photo import Photo
+from photoreg.geometry.slippage import slippage_words
+from photoreg.geometry.surface_descriptors import surface_descriptors
+from photoreg.geometry.unseen import why_unseen
+from photoreg.geometry.visibility import share_seen_twice, visible
+from photoreg.geometry.winding import facing_cameras
+from photoreg.imaging.pairs import (
+    ALL_UP_TO,
+    Pair,
+    choose_pairs,
+    hanging_in_words,
+    pair_scores,
+)
+from photoreg.imaging.photo import MIN_SIDE_PX, Photo
 from photoreg.parameters.freedom import Freedom
 from photoreg.parameters.genes import GeneMap
+from photoreg.polish.correspondence_stage import MeshError
 from photoreg.polish.misfit import Disagreement, against_chance, disagreement
 from photoreg.polish.polish_cameras import PolishStep, polish_cameras
 from photoreg.polish.uncertainty import Uncertainty, estimate_uncertainty
@@ -21,15 +33,36 @@ from photoreg.registration.checkpoint import Checkpoint, problem_digest
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.events import Event, Finished, Phase, Population, Progress
 from photoreg.registration.genetic_search import GeneticSearch
+from photoreg.registration.growing_search import GrowingSearch
 from photoreg.registration.readiness import check_readiness
-from photoreg.registration.verdict import Verdict, decide_verdict, is_better
+from photoreg.registration.verdict import (
+    MISSED_LENS_PX,
+    Verdict,
+    decide_verdict,
+    doubting_the_centre,
+    doubting_the_lens,
+    failing_photos,
+    far_centre_sentence,
+    is_better,
+    missed_lens_sentence,
+)
+from photoreg.registration.world import why_of_another_world
 from photoreg.words import listed
 
 MIN_OVERLAP = 0.1
-"""Share of what the photos see that two must see, lest the user is warned."""
+"""Share of what the photos see that two must see; below it the user is warned."""
 
 FIRST_POLISH_SHARE = 0.9
 """Share of the progress bar at which the first polish ends; a second is rare."""
+
+MOST_PIXELS = 40_000_000
+"""Of all photos together in the polish, which keeps some sixty bytes a pixel: twelve
+photos of 2048x1536. Of more photos fewer pixels each are looked at."""
+
+ONE_PHOTO_SEARCHED = (
+    "There is no other photo to compare colours with, so the search went by how much the "
+    "colours tell of the surface's shape; the paper's method wants two photos or more."
+)
 
 SEARCH_SHARE = 0.3
 """Share of the progress bar given to the search where a polish follows."""
@@ -45,12 +78,15 @@ def refine(
 ) -> Generator[Event, None, None]:
     """Refines rough cameras until the photos agree over the surface.
 
-    Stop iterating to cancel: every event holds the best cameras so far. The last
-    event is a ``Finished``.
+    One photo is compared with the surface itself: its outline, and how far the shape
+    explains its shading.
+
+    Stop iterating to cancel: every event holds the best cameras so far. The last event
+    is a ``Finished``.
 
     Args:
         mesh: The surface.
-        photos: Two or more.
+        photos: One or more.
         cameras: The pre-registration, one a photo, in the same order.
         config: Settings; None: the default preset.
         freedom: What may move; None: everything. What is held stays to the last bit.
@@ -61,14 +97,15 @@ def refine(
         InputError: if photos and cameras do not match, if ``freedom`` leaves nothing
             to move, if ``resume`` is of another refinement, or if there is nothing to
             compare: see ``Readiness.refusals``.
-        RefinementError: if no camera sees the surface, or no two see a common part.
+        RefinementError: if no camera sees the surface, no two of several see a common
+            part, or the photos agree in another world only.
     """
-    if len(photos) < 2:
-        raise InputError(f"A refinement needs two photos or more, not {len(photos)}.")
+    if len(photos) == 0:
+        raise InputError("A refinement needs at least one photo, but there is none.")
     if len(photos) != len(cameras):
         raise InputError(
             f"There are {len(photos)} photos but {len(cameras)} cameras; give one camera "
-            "a photo, in the same order."
+            "per photo, in the same order."
         )
     for photo, camera in zip(photos, cameras, strict=True):
         if (photo.width, photo.height) != (camera.width, camera.height):
@@ -95,13 +132,15 @@ class _Run:
         config: RegistrationConfig,
         freedom: Freedom,
     ) -> None:
-        self.mesh, self.config = mesh, config
+        self.mesh, self.config = facing_cameras(mesh, cameras), config
         self.given_photos, self.given = tuple(photos), tuple(cameras)
         self.given_freedom = freedom
         self.begun = freedom.begin(self.given, mesh.centroid)
         """The cameras given, with one focal length where photos share it."""
         self.active = tuple(range(len(photos)))
         """Which photos take part: those whose cameras see the surface."""
+        self.pairs: tuple[Pair, ...] = ()
+        """Which of those that take part are compared."""
         self.best = self.begun
         self.problem = problem_digest(mesh, photos, cameras, config, freedom)
         self.resume: Checkpoint | None = None
@@ -113,7 +152,17 @@ class _Run:
         self.reason = ""
         self.start_cost = self.cost = np.inf
         self.uncertainty: Uncertainty | None = None
+        self.mesh_error: MeshError | None = None
+        self.missed_px: tuple[float, ...] = ()
+        """How far off each photo's camera is at least, because its lens was held."""
+        self.missed_centre_px: tuple[float, ...] = ()
+        """The same because its principal point could not move far enough."""
+        self.far_centres: list[str] = []
+        """The photos of which that is so."""
         self.verdict: Verdict | None = None
+        self.judged: Disagreement | None = None
+        """What the verdict was decided by."""
+        self.fraction = 0.0
         self.reduced: tuple[Photo, ...] = ()
         """The photos that take part, as small as the polish wants them."""
 
@@ -129,18 +178,31 @@ class _Run:
         yield self._progress("prepare", "getting ready", 0.0, np.inf, np.inf)
         self._leave_out_the_blind()
         self._refuse_the_empty()
-        search = GeneticSearch(
-            self.mesh, self.photos, self.start, self.config, self.freedom
-        )
+        warnings = list(self.warnings)
+        search = yield from self._search_and_polish()
+        if failed := self._failed():
+            # Anew, so that the others end as they would have without the failed ones.
+            self.warnings = warnings
+            self._leave_out(failed)
+            search = yield from self._search_and_polish()
+        yield self._finished(search)
+
+    def _search_and_polish(
+        self,
+    ) -> Generator[Event, None, GeneticSearch | GrowingSearch]:
+        search = self._growing_search() if self._is_growing else self._whole_search()
         self._clock("prepare")
-        yield from self._search(search)
+        if isinstance(search, GrowingSearch):
+            yield from self._grow(search)
+        else:
+            yield from self._search(search)
         self._clock("search")
         if self.config.polish_after:
             if self.checkpoint is not None:
                 self.checkpoint = dataclasses.replace(self.checkpoint, phase="polish")
             yield from self._polish()
             self._clock("polish")
-        yield self._finished(search)
+        return search
 
     @property
     def photos(self) -> tuple[Photo, ...]:
@@ -166,8 +228,11 @@ class _Run:
         """Finds who sees the surface, and warns of who does not.
 
         Raises:
-            RefinementError: if nobody does.
+            RefinementError: if nobody does, or in another world only.
         """
+        why = why_of_another_world(self.mesh, self.given_photos, self.begun)
+        if why is not None:
+            raise RefinementError(why)
         seen = visible(
             sample_surface(self.mesh, 2000, 0), self.begun, self.mesh, "rays", 0.0
         )
@@ -175,8 +240,8 @@ class _Run:
         self.best = self.start
         if not self.active:
             raise RefinementError(
-                "No camera sees the surface from where it stands. Align the cameras "
-                "first."
+                "No camera sees the surface from where it stands. "
+                f"{why_unseen(self.mesh, self.begun)}"
             )
         self.warnings += [
             f"The camera of {photo.name} does not see the surface and was left as it is; "
@@ -185,12 +250,63 @@ class _Run:
             if not row.any()
         ]
         either, shared = seen.any(axis=0).sum(), (seen.sum(axis=0) >= 2).sum()
-        if shared < MIN_OVERLAP * either:
+        if len(self.active) > 1 and shared < MIN_OVERLAP * either:
             self.warnings.append(
                 "The photos hardly overlap on the surface: of what they see, "
-                f"{100 * shared / either:.0f} % is seen twice, so the answer rests on "
-                "little. Align better, or take photos from nearer viewpoints."
+                f"only {100 * shared / either:.0f} % is seen twice, so the answer is poorly "
+                "determined. Align better, or take photos from nearer viewpoints."
             )
+        self.pairs = choose_pairs(self.mesh, self.photos, self.start)
+        self.warnings += hanging_in_words(self._names, self.pairs)
+        self._leave_out_the_settled()
+
+    def _leave_out_the_settled(self) -> None:
+        """Of many photos, those whose cameras are held only help those that are not.
+
+        So held photos are not compared with each other, and those that nobody else is
+        compared with take no part.
+        """
+        if len(self.active) <= ALL_UP_TO:
+            return
+        moves = [not self.freedom.of(i).everything for i in range(len(self.active))]
+        pairs = [pair for pair in self.pairs if any(moves[i] for i in pair)]
+        if not pairs:
+            return
+        compared = {i for pair in pairs for i in pair}
+        kept = [i for i, moving in enumerate(moves) if moving or i in compared]
+        place = {i: k for k, i in enumerate(kept)}
+        self.pairs = tuple((place[i], place[k]) for i, k in pairs)
+        self.active = tuple(self.active[i] for i in kept)
+        self.best = self.start
+
+    def _failed(self) -> tuple[int, ...]:
+        """Those of many photos that do not fit the rest, if the rest are the most."""
+        if len(self.active) <= ALL_UP_TO or self.judged is None:
+            return ()
+        failed = failing_photos(self.judged)
+        rest = [i for i in range(len(self.active)) if i not in failed]
+        moves = any(not self.freedom.of(i).everything for i in rest)
+        return failed if moves and len(failed) < len(rest) else ()
+
+    def _leave_out(self, failed: Sequence[int]) -> None:
+        """Goes on without these, and says so."""
+        names = [self._names[i] for i in failed]
+        self.warnings.append(
+            f"{names[0]} did not fit the others, neither in colour nor by its outline, "
+            "and was left out; its camera is as it came. Align it more closely, or take "
+            "it away if it shows something else."
+            if len(names) == 1
+            else f"{listed(names)} did not fit the others, neither in colour nor by "
+            "their outlines, and were left out; their cameras are as they came. Align "
+            "them more closely, or take them away if they show something else."
+        )
+        self.uncertainty, self.mesh_error, self.missed_px = None, None, ()
+        self.missed_centre_px, self.far_centres = (), []
+        self.generations = self.evaluations = 0
+        self.active = tuple(p for i, p in enumerate(self.active) if i not in failed)
+        self.best = self.start
+        self.pairs = choose_pairs(self.mesh, self.photos, self.start)
+        self._leave_out_the_settled()
 
     def _refuse_the_empty(self) -> None:
         """Ends the run where the photos hold nothing to compare.
@@ -208,6 +324,62 @@ class _Run:
         for i, camera in zip(self.active, cameras, strict=True):
             complete[i] = camera
         return tuple(complete)
+
+    @property
+    def _is_growing(self) -> bool:
+        """Whether photos are searched for one after the other.
+
+        Not where the search alone answers: it compares all photos then.
+        """
+        return len(self.active) > ALL_UP_TO and self.config.polish_after
+
+    def _whole_search(self) -> GeneticSearch:
+        return GeneticSearch(
+            self.mesh, self.photos, self.start, self.config, self.freedom
+        )
+
+    def _gene_map(self) -> GeneMap:
+        """Of all photos that take part at the end."""
+        return GeneMap(
+            [camera.pinhole for camera in self.start],
+            self.mesh.centroid,
+            self.config.box,
+            self.config.camera_model,
+            self.config.coordinates,
+            self.freedom,
+        )
+
+    def _growing_search(self) -> GrowingSearch:
+        # It keeps no checkpoint: begun again it ends in the same cameras.
+        self.resume, self.generations, self.evaluations = None, 0, 0
+        scores = pair_scores(self.mesh, self.photos, self.start)
+        return GrowingSearch(
+            self.mesh,
+            self.photos,
+            self.start,
+            self.config,
+            self.freedom,
+            self.pairs,
+            scores,
+        )
+
+    def _grow(self, search: GrowingSearch) -> Iterator[Progress]:
+        for step in search.steps():
+            self.generations += step.generation > 0
+            self.evaluations, self.best = step.evaluations, step.cameras
+            words = f"search, photos {step.stage + 1} of {step.n_stages}"
+            yield dataclasses.replace(
+                self._progress(
+                    "search",
+                    words,
+                    SEARCH_SHARE * step.fraction,
+                    step.best_cost,
+                    step.median_cost,
+                ),
+                quartile_costs=step.quartile_costs,
+                begins=None if step.generation else words,
+            )
+        self.reason = "All stages of the search are done."
 
     def _search(self, search: GeneticSearch) -> Iterator[Progress]:
         config, settings = self.config, self.config.genetic
@@ -248,7 +420,7 @@ class _Run:
         assert last is not None
         if last.stop == "cost level":
             self.reason = (
-                f"The cost fell to the level asked for ({last.best_cost:.4g})."
+                f"The cost fell to the level that was set ({last.best_cost:.4g})."
             )
         elif last.stop == "stagnation":
             self.reason = "The search stopped improving."
@@ -258,7 +430,7 @@ class _Run:
     def _polish(self) -> Iterator[Progress]:
         """Polishes from where search or start agree better; from both when in doubt."""
         min_cosine = self.config.polish.min_cosine
-        side = self.config.polish.max_side_px
+        side = polish_side_px(self.photos, self.config.polish.max_side_px)
         # Once for all levels: they never look at more pixels.
         self.reduced = tuple(photo.resized(side) for photo in self.photos)
         # Where the light moved, the search's colours mislead it, by 60 px once; where
@@ -268,7 +440,7 @@ class _Run:
         if self.best != self.start:
             ways["search"] = self.best
         fits = {
-            way: disagreement(self.mesh, self.reduced, cameras, min_cosine)
+            way: disagreement(self.mesh, self.reduced, cameras, min_cosine, self.pairs)
             for way, cameras in ways.items()
         }
         self.start_cost = fits["start"].total
@@ -290,6 +462,18 @@ class _Run:
                 break
         assert answer is not None
         assert judged is not None
+        self.judged = judged
+        if max(answer.missed_px, default=0.0) > MISSED_LENS_PX:
+            self.missed_px = answer.missed_px
+            self.warnings.append(missed_lens_sentence(max(self.missed_px)))
+            if self.verdict is not None:
+                self.verdict = doubting_the_lens(self.verdict)
+        self.missed_centre_px = answer.missed_centre_px
+        self.far_centres = [
+            name
+            for name, missed in zip(self._names, self.missed_centre_px, strict=False)
+            if missed > MISSED_LENS_PX
+        ]
         self.warnings += answer.warnings
         self.reason += " The polish is done."
         if self._is_no_better(judged, fits["start"]):
@@ -298,6 +482,7 @@ class _Run:
         else:
             self.uncertainty = estimate_uncertainty(self.mesh, answer, self._names)
             expected_error_px = self.uncertainty.expected_error_px
+            self.mesh_error = answer.mesh_error
         yield dataclasses.replace(
             self._progress("polish", "polish done", 1.0, answer.cost, answer.cost),
             expected_error_px=expected_error_px,
@@ -312,13 +497,20 @@ class _Run:
         if self.verdict is None or self.verdict.is_credible:
             return False
         before = self._against_chance(start, self.start)
-        if is_better(answer, before):
+        min_cosine = self.config.polish.min_cosine
+        shared, shared_before = (
+            share_seen_twice(self.mesh, cameras, min_cosine)
+            for cameras in (self.best, self.start)
+        )
+        # One photo shares nothing, and need not.
+        kept = shared / max(shared_before, 1e-9) if len(self.active) > 1 else 1.0
+        if is_better(answer, before, kept):
             return False
         self.best, self.cost = self.start, self.start_cost
         self.verdict = decide_verdict(before, self._names)
         self.reason = (
-            "The start was kept: colours and outlines fit the photos no better with the "
-            "cameras found from it."
+            "The start was kept: with the cameras that were found, colours and outlines "
+            "fit the photos no better."
         )
         return True
 
@@ -347,6 +539,8 @@ class _Run:
             self.config.prior_scales,
             fit,
             self.freedom,
+            self.config.distortion,
+            self.pairs,
         ):
             if answer is None:
                 self.best = step.cameras
@@ -376,32 +570,52 @@ class _Run:
         """How far off the cameras are at the end of a level of the polish."""
         return estimate_uncertainty(self.mesh, step, self._names).expected_error_px
 
-    def _finished(self, search: GeneticSearch) -> Finished:
-        if not self.config.polish_after:
-            self.start_cost = search.consistency.cost(self.start)
-            self.cost = search.consistency.cost(self.best)
+    def _finished(self, search: GeneticSearch | GrowingSearch) -> Finished:
+        if isinstance(search, GeneticSearch) and not self.config.polish_after:
+            if len(self.active) == 1:
+                self.warnings.append(ONE_PHOTO_SEARCHED)
+            self.start_cost = search.agreement.cost(self.start)
+            self.cost = search.agreement.cost(self.best)
         if not self.cost <= self.start_cost:
             self.best, self.cost = self.start, self.start_cost
             self.reason = "Nothing better than the start was found."
         if self.verdict is not None and not self.verdict.is_credible:
             self.warnings.insert(0, self.verdict.sentence)
         # The search cannot leave its box; the polish can, and by less than half an
-        # interval it often rightly does.
-        self.warnings += border_warnings(
-            search.gene_map, self.best, 1.5 if self.config.polish_after else 0.99
+        # interval it often rightly does. Convincing cameras are right wherever they are.
+        gene_map = (
+            search.gene_map if isinstance(search, GeneticSearch) else self._gene_map()
         )
+        on_border, warnings = border_warnings(
+            gene_map,
+            self.best,
+            1.5 if self.config.polish_after else 0.99,
+            self._names,
+        )
+        far = [n for n in self._names if n in self.far_centres or n in on_border]
+        if far:
+            self.warnings.append(far_centre_sentence(far))
+        if self.verdict is not None:
+            self.verdict = doubting_the_centre(self.verdict, far)
+        if self.verdict is None or self.verdict.grade != "convincing":
+            self.warnings += warnings
+        expected_errors_px, standard_errors, undetermined = self._how_sure()
         return Finished(
-            self._all(self.best),
-            self.start_cost,
-            self.cost,
-            self.reason,
-            tuple(self.warnings),
-            self._elapsed_s,
-            self.generations,
-            self.evaluations,
-            self.seconds,
-            *self._how_sure(),
+            cameras=self._all(self.best),
+            start_cost=self.start_cost,
+            cost=self.cost,
+            reason=self.reason,
+            warnings=tuple(self.warnings),
+            elapsed_s=self._elapsed_s,
+            generations=self.generations,
+            evaluations=self.evaluations,
+            seconds_by_phase=self.seconds,
+            expected_errors_px=expected_errors_px,
+            standard_errors=standard_errors,
+            undetermined=undetermined,
+            mesh_error=self.mesh_error,
             verdict=self.verdict,
+            pairs=tuple((self.active[i], self.active[k]) for i, k in self.pairs),
         )
 
     def _how_sure(
@@ -412,43 +626,79 @@ class _Run:
             return (), (), ()
         expected: list[float | None] = [None] * len(self.given)
         words = []
-        for i, camera in zip(self.active, self.uncertainty.cameras, strict=True):
+        nothing = (0.0,) * len(self.active)
+        missed_px = np.hypot(
+            self.missed_px or nothing, self.missed_centre_px or nothing
+        ).tolist()
+        for i, camera, missed in zip(
+            self.active, self.uncertainty.cameras, missed_px, strict=True
+        ):
             name = self.given_photos[i].name
             if self.given_freedom.of(i).everything:
                 words.append(f"{name}: held as it was.")
                 continue
-            expected[i] = camera.expected_error_px
+            expected[i] = float(np.hypot(camera.expected_error_px, missed))
             words.append(camera.in_words(name))
-        return tuple(expected), tuple(words), self.uncertainty.undetermined
+        undetermined = self.uncertainty.undetermined
+        if len(self.active) == 1 and not self.given_freedom.of(self.active[0]).pose:
+            descriptors = surface_descriptors(self.mesh)
+            if descriptors.colours is None:
+                undetermined = (*slippage_words(self.mesh), *undetermined)
+        return tuple(expected), tuple(words), undetermined
 
     @property
     def _elapsed_s(self) -> float:
         return time.perf_counter() - self.began
 
     def _clock(self, phase: Phase) -> None:
-        self.seconds[phase] = self._elapsed_s - sum(self.seconds.values())
+        since = self._elapsed_s - sum(self.seconds.values())
+        self.seconds[phase] = self.seconds.get(phase, 0.0) + since
 
     def _progress(
         self, phase: Phase, step: str, fraction: float, best: float, median: float
     ) -> Progress:
+        # Without the photos that failed all begins anew.
+        self.fraction = max(self.fraction, fraction)
         return Progress(
-            phase,
-            step,
-            fraction,
-            self.generations,
-            self.evaluations,
-            best,
-            median,
-            self._elapsed_s,
-            self._all(self.best),
+            phase=phase,
+            step=step,
+            fraction=self.fraction,
+            generation=self.generations,
+            evaluations=self.evaluations,
+            best_cost=best,
+            median_cost=median,
+            elapsed_s=self._elapsed_s,
+            cameras=self._all(self.best),
             checkpoint=self.checkpoint,
         )
 
 
+def polish_side_px(photos: Sequence[Photo], max_side_px: int) -> int:
+    """The longer side to which photos are reduced, so that all have ``MOST_PIXELS``.
+
+    Args:
+        photos: All of them.
+        max_side_px: At most so much.
+    """
+    side = max_side_px
+    while True:
+        sizes = [
+            reduced_size(one.width, one.height, side, MIN_SIDE_PX) for one in photos
+        ]
+        excess = sum(width * height for width, height in sizes) / MOST_PIXELS
+        if excess <= 1.0 or side <= MIN_SIDE_PX:
+            return side
+        side = max(MIN_SIDE_PX, min(side - 1, int(side / np.sqrt(excess))))
+
+
 def border_warnings(
-    gene_map: GeneMap, cameras: Sequence[Camera], limit: float
-) -> list[str]:
-    """A warning that names the genes at ``limit`` half-intervals or beyond, if any."""
+    gene_map: GeneMap, cameras: Sequence[Camera], limit: float, photos: Sequence[str]
+) -> tuple[list[str], list[str]]:
+    """What lies at ``limit`` half-intervals or beyond.
+
+    Returns:
+        Names of the photos whose principal points do; and a warning of all that do.
+    """
     beyond = np.abs(gene_map.to_genes(cameras)) >= limit
     by_camera: dict[str, list[str]] = {}
     for name, is_on in zip(gene_map.names(), beyond, strict=True):
@@ -456,12 +706,17 @@ def border_warnings(
             camera, _, gene = name.rpartition(": ")
             by_camera.setdefault(camera, []).append(gene)
     if not by_camera:
-        return []
+        return [], []
+    far_centres = [
+        photo
+        for number, photo in enumerate(photos, start=1)
+        if any("principal" in gene for gene in by_camera.get(f"camera {number}", ()))
+    ]
     genes = "; ".join(
         f"{camera}: {listed(names)}" if camera else listed(names)
         for camera, names in by_camera.items()
     )
-    return [
+    return far_centres, [
         f"The answer lies on the border of the search box ({genes}): the true cameras "
-        "may lie outside. Refine again from here, or choose a wider box."
+        "may lie outside. Refine again from here, or choose a wider box.",
     ]

@@ -1,4 +1,11 @@
-"""The search for a camera that explains point pairs, some of them grossly wrong."""
+"""The search for a camera that explains point pairs, some of them grossly wrong.
+
+The poses come from OpenCV: P3P of triples and SQPnP of all pairs. Which triples, and which
+explanation is the best, is decided here: OpenCV's own choice (USAC, MAGSAC) knows no
+prior of the focal length and no price of a pair left out. In four runs with gross pairs
+on the bench's temple the triples named these in all, SQPnP alone in three, USAC in the
+place of triples in two, in four times the time.
+"""
 
 import itertools
 from collections.abc import Sequence

@@ -85,7 +85,7 @@ def joined(parts: list[Models]) -> Models:
     )
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Pairs:
     """What the models are fitted to: points, pixels, and what is known beforehand."""
 

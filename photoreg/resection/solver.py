@@ -10,16 +10,26 @@ from scipy.optimize import leastsq
 from photoreg.checks import check_points, check_rows
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
+from photoreg.geometry.lens import IDEAL, Lens
 from photoreg.geometry.rotations import left_jacobian
 from photoreg.resection import pinhole_model
 from photoreg.resection.hypotheses import HypothesisSearch
+from photoreg.resection.lens_fit import UNTRUSTED, LensFit, expected_errors, fit_k1
 from photoreg.resection.pinhole_model import Models, Pairs
 from photoreg.words import listed
 
-Solved = Literal["pose", "pose and focal length", "pose, focal length, principal point"]
+Solved = Literal[
+    "pose",
+    "pose and focal length",
+    "pose, focal length, principal point",
+    "pose, focal length, principal point, lens",
+]
 
 N_POSE, N_FOCAL, N_PRINCIPAL = 4, 6, 8
-"""Pairs from which pose, focal length, principal point are solved for."""
+"""Pairs from which pose, focal length, principal point and lens are solved for."""
+K1_DECIDED = 3.0
+"""Standard errors of k1 from which a lens is not taken for an ideal one: chance gives as
+much once in 400 times."""
 CLICK_SIGMA_PX = 1.5
 """Standard error of a click, each axis, of a person who zooms in."""
 FOCAL_SIGMA = 0.1
@@ -32,13 +42,15 @@ PRINCIPAL_SIGMA_SIDES = 0.02
 EXACT_PX = 0.01
 """Pairs that agree so well without any prior were computed, not clicked: then the prior
 has no say."""
+OUTLIER_SIGMAS = 4.0
+"""Pairs nearer than this to where the lens has them were no gross errors."""
 SIGMA_WORTH = 4
 """How many residuals the expected error of a click outweighs in the foretold error."""
 FLAT_SHARE = 1e-3
 """Points within this share of their extent of a line are on a line."""
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Resection:
     """A camera solved from pairs, and how far to trust it."""
 
@@ -57,6 +69,11 @@ class Resection:
     """Expected error over the surface (root mean square), from the errors of clicks."""
     focal_error: float
     """Standard error of the focal length, as a share of itself."""
+    k1: float | None = None
+    """What the pairs say of the lens's first radial term; the camera has it if they
+    decide that it is not 0. None: too few pairs, or the lens was known."""
+    k1_error: float | None = None
+    """Its standard error."""
     warnings: tuple[str, ...]
     """What the person should know, in plain sentences; pairs are numbered from 1."""
 
@@ -64,9 +81,13 @@ class Resection:
     def summary(self) -> str:
         """One sentence: what was solved, how well it fits, how well determined it is."""
         n = int(self.inliers.sum())
+        lens = ""
+        if self.k1 is not None:
+            lens = f" The lens has k1 {self.k1:.3f} ± {self.k1_error:.2g}"
+            lens += "." if self.camera.lens.k1 else ", too little to tell from 0."
         return (
             f"Solved {self.solved} from {n} pairs: they fit to {self.rms_px:.1f} px; "
-            f"expect about {_plain_px(self.expected_error_px)} px over the surface."
+            f"expect about {_plain_px(self.expected_error_px)} px over the surface.{lens}"
         )
 
 
@@ -85,7 +106,8 @@ def solve_camera(
     """The camera that sees surface points at the given pixels.
 
     From 4 pairs the pose, from 6 also the focal length, from 8 also the principal
-    point. Pose hypotheses come from triples and from all pairs (OpenCV), over several
+    point and, if the prior knows of no lens, its first radial term, which is kept where the
+    pairs tell it from 0. Pose hypotheses come from triples and from all pairs (OpenCV), over several
     focal lengths; they are refined robustly, and the one that explains the pairs best,
     with gross outliers at a price, is refined by least squares (MINPACK).
 
@@ -95,7 +117,7 @@ def solve_camera(
         width: The photo's width in pixels.
         height: The photo's height in pixels.
         prior: Its K is what is expected before any pair (EXIF, or an earlier
-            calibration), its pose is not used. Pass the same prior each time, not the
+            calibration), its lens is kept, its pose is not used. Pass the same prior each time, not the
             last solution: that would count the pairs twice. None: nothing is known.
         focal_sigma: Relative standard error of the prior's focal length.
         click_sigma_px: Standard error of a click, each axis.
@@ -129,12 +151,27 @@ def solve_camera(
     n_free = 6 if n < N_FOCAL else 7 if n < N_PRINCIPAL else 9
     origin = points.mean(axis=0)
     size = float(np.sqrt(((points - origin) ** 2).sum(axis=1).mean()))
+    lens, clicked = IDEAL, pixels
+    if prior is not None and not prior.lens.is_ideal:
+        # Solved where an ideal lens would show the points; the clicks' errors grow by
+        # less than a third there.
+        lens, pixels = prior.lens, prior.resized(width, height).undistort(pixels)
+        if not np.isfinite(pixels).all():
+            raise InputError(
+                "A photo point lies where the photo's lens distortion leaves nothing to "
+                "be seen; correct the distortion, or the point."
+            )
     pairs = _pairs((points - origin) / size, pixels, width, height, prior, focal_sigma)
     search = HypothesisSearch(pairs, n_free, width * height, click_sigma_px, seed)
     model, inliers, sigma_px, twin = search.best()
     model = _polished(model, pairs, n_free, sigma_px, inliers)
-    camera = _camera(model, pairs, origin, size, width, height)
-    offsets = camera.project(points) - pixels
+    fit = None
+    if n_free == pinhole_model.N_PARAMETERS and lens.is_ideal:
+        fit, those = _with_lens(model, pairs, sigma_px, inliers)
+        if _is_lens(fit, model, pairs, those):
+            model, lens, inliers = fit.model, Lens(k1=fit.k1), those
+    camera = _camera(model, pairs, origin, size, width, height).with_lens(lens)
+    offsets = camera.project(points) - clicked
     residuals = np.hypot(offsets[:, 0], offsets[:, 1])
     residuals[np.isnan(residuals)] = np.inf
     if surface is None:
@@ -143,14 +180,19 @@ def solve_camera(
         where = (
             check_points(surface, "The list of points of the surface") - origin
         ) / size
-    expected, focal_error = _expected_errors(
-        model, pairs, n_free, sigma_px, inliers, where
-    )
+    if fit is not None and not lens.is_ideal:
+        expected, focal_error = expected_errors(fit, pairs, where)
+    else:
+        expected, focal_error = _expected_errors(
+            model, pairs, n_free, sigma_px, inliers, where
+        )
     solved: Solved = "pose"
     if n_free > 6:
         solved = "pose and focal length"
     if n_free > 7:
         solved = "pose, focal length, principal point"
+    if fit is not None and not lens.is_ideal:
+        solved = "pose, focal length, principal point, lens"
     return Resection(
         camera=camera,
         solved=solved,
@@ -160,6 +202,8 @@ def solve_camera(
         worst=int(np.argmax(residuals)),
         expected_error_px=expected,
         focal_error=focal_error,
+        k1=None if fit is None else fit.k1,
+        k1_error=None if fit is None else fit.k1_error,
         warnings=_warnings(
             residuals,
             inliers,
@@ -263,6 +307,42 @@ def _polished(
         if np.sqrt(np.mean(offsets**2)) < EXACT_PX:
             return free
     return model
+
+
+def _with_lens(
+    model: Models, pairs: Pairs, sigma_px: float, inliers: np.ndarray
+) -> tuple[LensFit, np.ndarray]:
+    """The same with a radial term, and the pairs that fit then.
+
+    With them are those that only the lens had bent away.
+    """
+    fit = fit_k1(model, pairs, sigma_px, inliers)
+    near = (np.abs(fit.offsets_px) <= OUTLIER_SIGMAS * sigma_px).all(axis=1)
+    if (near & ~inliers).any():
+        inliers = inliers | near
+        fit = fit_k1(fit.model, pairs, sigma_px, inliers)
+    n_free = pinhole_model.N_PARAMETERS + 1
+    left_over = max(2 * int(inliers.sum()) - n_free, 0)
+    if left_over > 0:
+        free = fit_k1(fit.model, pairs, sigma_px, inliers, UNTRUSTED)
+        if np.sqrt(np.mean(free.offsets_px[inliers] ** 2)) < EXACT_PX:
+            fit = free
+    squares = float((fit.offsets_px[inliers] ** 2).sum())
+    sigma = (SIGMA_WORTH * sigma_px**2 + squares) / (SIGMA_WORTH + left_over)
+    scaled = fit.covariance * (sigma / sigma_px**2)
+    return dataclasses.replace(fit, covariance=scaled), inliers
+
+
+def _is_lens(fit: LensFit, model: Models, pairs: Pairs, inliers: np.ndarray) -> bool:
+    """Whether the pairs tell the lens from an ideal one."""
+    ideal = pinhole_model.project(model, pairs.X, pairs.A)[0] - pairs.pixels
+    is_exact, was_exact = (
+        np.sqrt(np.mean(offsets[inliers] ** 2)) < EXACT_PX
+        for offsets in (fit.offsets_px, ideal)
+    )
+    if was_exact:
+        return False
+    return bool(is_exact or abs(fit.k1) > K1_DECIDED * fit.k1_error)
 
 
 def _expected_errors(

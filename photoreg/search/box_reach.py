@@ -9,13 +9,14 @@ from jaxtyping import Float
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
-from photoreg.geometry.projection_error import seen_points
 from photoreg.geometry.sampling import sample_surface
+from photoreg.geometry.visibility import seen_points
 from photoreg.parameters.freedom import Freedom
 from photoreg.parameters.genes import CameraModel, Coordinates, GeneBox, GeneMap
 
 N_POINTS = 400
 N_DRAWS = 400
+"""The highest twentieth of the moves, which is told, rests on 20 draws."""
 
 
 @dataclasses.dataclass(frozen=True)

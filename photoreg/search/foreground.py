@@ -11,13 +11,13 @@ from collections.abc import Sequence
 import cv2
 import numba as nb
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from scipy.ndimage import distance_transform_edt
 
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.surface_view import camera_rays, surface_view
-from photoreg.imaging.colour_model import colour_model
+from photoreg.imaging.colour_model import colour_bins, colour_model, object_regions
 from photoreg.imaging.photo import Photo, resized_mask
 from photoreg.parameters.genes import GeneMap
 
@@ -46,18 +46,11 @@ class Foreground:
         points, self._scales = [], []
         self._images = []
         for photo, camera in zip(photos, cameras, strict=True):
-            reduction = min(1.0, SIDE_PX / max(camera.width, camera.height))
-            small = camera.resized(
-                max(16, round(camera.width * reduction)),
-                max(16, round(camera.height * reduction)),
-            )
+            small = camera.reduced(SIDE_PX, least_px=16)
             view = surface_view(mesh, small)
             band_px = BAND_SHARE * max(small.width, small.height)
             self._images.append(_evidence(photo, view.covered, band_px))
-            nearest = _nearest_covered(view.covered)
-            rows, columns = np.indices(view.covered.shape)
-            gap = np.hypot(nearest[0] - rows, nearest[1] - columns)
-            around = (gap > 0.0) & (gap <= band_px)
+            nearest, around = around_object(view.covered)
             for region in (view.covered, around):
                 rows, columns = np.nonzero(region)
                 if len(rows) == 0:
@@ -97,11 +90,19 @@ class Foreground:
         return 1.0 - 0.5 * total / len(self._images)
 
 
-def _nearest_covered(covered: np.ndarray) -> np.ndarray:
-    """Row and column, (2, h, w), of the covered pixel nearest to each pixel."""
-    return np.asarray(
+def around_object(
+    covered: Bool[np.ndarray, "h w"],
+) -> tuple[Int[np.ndarray, "2 h w"], Bool[np.ndarray, "h w"]]:
+    """Row and column of the covered pixel nearest to each pixel, and which are near one.
+
+    Near, but not covered themselves: within ``BAND_SHARE`` of the longer side.
+    """
+    nearest = np.asarray(
         distance_transform_edt(~covered, return_distances=False, return_indices=True)
     )
+    rows, columns = np.indices(covered.shape)
+    gap = np.hypot(nearest[0] - rows, nearest[1] - columns)
+    return nearest, (gap > 0.0) & (gap <= BAND_SHARE * max(covered.shape))
 
 
 def _evidence(
@@ -112,10 +113,10 @@ def _evidence(
     0 where the photo does not count.
     """
     size = (covered.shape[1], covered.shape[0])
-    pixels = cv2.resize(photo.pixels, size, interpolation=cv2.INTER_AREA)
-    values = cv2.GaussianBlur(pixels.astype(np.float32), (0, 0), BLUR_PX)
+    values = cv2.GaussianBlur(photo.pixels_at(size).astype(np.float32), (0, 0), BLUR_PX)
     mask = resized_mask(photo, size)
-    log_ratio = colour_model(values, covered, band_px, mask).of(values)
+    regions = object_regions(covered, band_px)
+    log_ratio = colour_model(colour_bins(values), regions, mask).of(values)
     evidence = np.tanh(0.5 * log_ratio)
     if mask is not None:
         evidence = np.where(mask, evidence, 0.0)
@@ -141,10 +142,16 @@ def mean_evidence_gap(projections, inside, outside, image):  # noqa: ANN001, ANN
                 depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
                 if not depth > 0.0:
                     continue
-                u = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) / depth + 0.5
-                v = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) / depth + 0.5
-                if 0.0 <= u < width and 0.0 <= v < height:
-                    total += image[int(v), int(u)]
+                u = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) / depth
+                v = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) / depth
+                if 0.0 <= u < width - 1.0 and 0.0 <= v < height - 1.0:
+                    # Between pixels: the nearest one's would jump at a last digit.
+                    column, row = int(u), int(v)
+                    s, t = u - column, v - row
+                    above = (1.0 - s) * image[row, column] + s * image[row, column + 1]
+                    row += 1
+                    below = (1.0 - s) * image[row, column] + s * image[row, column + 1]
+                    total += (1.0 - t) * above + t * below
             gap += sign * total / len(points)
         out[individual] = gap
     return out

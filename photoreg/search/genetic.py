@@ -28,7 +28,7 @@ ROULETTE_BEST_OVER_MEAN = 1.2
 """GAlib's linear scaling: the best is drawn this many times as often as the mean."""
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class GeneticConfig:
     """Settings of the genetic algorithm."""
 
@@ -107,7 +107,7 @@ class GeneticConfig:
         return max(1, round(self.replaced_share * self.population))
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Generation:
     """The state after one generation, whole: the search can go on from it.
 
@@ -209,16 +209,16 @@ def evolve(
             unchanged = 0 if best_cost < before else unchanged + 1
             stop = _stop(config, generation, best_cost, unchanged)
             yield Generation(
-                restart,
-                generation,
-                genes,
-                cost,
-                best_genes,
-                best_cost,
-                evaluations,
-                unchanged,
-                stop,
-                rng.bit_generator.state,
+                restart=restart,
+                generation=generation,
+                genes=genes,
+                costs=cost,
+                best_genes=best_genes,
+                best_cost=best_cost,
+                evaluations=evaluations,
+                unchanged=unchanged,
+                stop=stop,
+                random_state=rng.bit_generator.state,
             )
             if stop is not None:
                 break

@@ -22,7 +22,7 @@ from photoreg.search.kernels_mncc import population_mncc
 CostName = Literal["ssd", "trimmed_squares", "alpha_trimmed", "variance", "mncc"]
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class ConsistencyConfig:
     """How two or more photos of a surface are compared."""
 

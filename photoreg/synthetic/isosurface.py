@@ -1,4 +1,10 @@
-"""The surface where a field is zero, as a closed triangle mesh (naive surface nets)."""
+"""The surface where a field is zero, as a closed triangle mesh (naive surface nets).
+
+scikit-image's marching cubes serve nearly as well (tried on the shell: as close to the
+surface, 29 faces of 20,480 with an angle below one degree, of which these nets have
+none). They would save forty lines here, and bring five packages more to everybody who
+installs photoreg, for scenes that are made in tests; and all of these would change.
+"""
 
 from collections.abc import Callable
 

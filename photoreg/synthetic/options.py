@@ -2,9 +2,12 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+import tyro
 
 from photoreg.errors import InputError
+from photoreg.geometry.lens import Lens
 
 SceneKind = Literal["shell", "clean", "mid", "clutter", "hard"]
 Background = Literal["dark", "plain", "clutter"]
@@ -35,7 +38,7 @@ KIND_SETTINGS: Mapping[str, Mapping[str, Any]] = {
 """What each kind of scene sets apart from the defaults of `SceneSettings`."""
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class SceneSettings:
     """The settings of `SceneOptions` that a kind of scene gives, all decided."""
 
@@ -52,9 +55,10 @@ class SceneSettings:
     light: Light = "flat"
     background: Background = "dark"
     occluder_share: float = 0.0
+    focal_share: float | None = None
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class SceneOptions:
     """What to make. A setting left at None is as ``kind`` says.
 
@@ -67,8 +71,9 @@ class SceneOptions:
     mesh), clutter (mid before textured surroundings), hard (light moved)."""
     seed: int = 0
     """Varies pattern, form, views, noise and rough cameras."""
-    n_photos: int = 2
-    """Photos, at least 2, each ``baseline_deg`` apart from the one before."""
+    n_photos: Annotated[int, tyro.conf.arg(name="photos")] = 2
+    """Photos, at least 2, each ``baseline_deg`` apart from the one before, around the
+    object; once around they go on from higher up."""
     n_faces: int = 20_480
     """Faces of the mesh, about: a rock's are 20 times a power of 4."""
     error_px: tuple[float, float] = (15.0, 25.0)
@@ -101,6 +106,15 @@ class SceneOptions:
     """Behind the object: nearly black, a plain soft backdrop, textured surroundings."""
     occluder_share: float | None = None
     """Share of the last photo covered by something in front."""
+    focal_share: float | None = None
+    """Focal length over the photo's width: 0.78 is a phone's."""
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    """The lens of every photo: K1 K2 P1 P2 K3, OpenCV's order. Rough cameras do not
+    know it."""
+    crop: float = 0.0
+    """How far the principal point of each photo is off its middle, as a share of width and
+    height, as where another part of it was cut off; to a side drawn for each photo. Rough
+    cameras do not know it."""
 
     def __post_init__(self) -> None:
         if self.kind not in KIND_SETTINGS:
@@ -117,6 +131,20 @@ class SceneOptions:
             raise InputError(
                 f"Photos of {settings.width}x{settings.height} px are too small; give at "
                 "least 16 px on each side."
+            )
+        if (
+            settings.focal_share is not None
+            and not 0.1 <= settings.focal_share <= 100.0
+        ):
+            raise InputError(
+                f"The focal length is {settings.focal_share:g} times the photo's width; "
+                "give 0.1 to 100."
+            )
+        Lens(*self.distortion)
+        if not 0.0 <= self.crop <= 0.5:
+            raise InputError(
+                f"crop is {self.crop:g}; give how far principal points are off, as a share "
+                "of the photo, 0 to 0.5."
             )
         if not 0.0 <= settings.occluder_share < 1.0:
             raise InputError(

@@ -56,20 +56,6 @@ def surface_hits(
 
 
 @nb.njit(nogil=True, cache=True)
-def _directions(pixels, to_world):  # noqa: ANN001, ANN202
-    """`Camera.rays` without BLAS, whose threads cost more than so thin a product."""
-    rays = np.zeros((len(pixels), 3))
-    for i in range(len(pixels)):
-        x, y = pixels[i, 0], pixels[i, 1]
-        dx = to_world[0, 0] * x + to_world[0, 1] * y + to_world[0, 2]
-        dy = to_world[1, 0] * x + to_world[1, 1] * y + to_world[1, 2]
-        dz = to_world[2, 0] * x + to_world[2, 1] * y + to_world[2, 2]
-        length = np.sqrt(dx * dx + dy * dy + dz * dz)
-        rays[i, 0], rays[i, 1], rays[i, 2] = dx / length, dy / length, dz / length
-    return rays
-
-
-@nb.njit(nogil=True, cache=True)
 def _locate(origin, rays, face, faces, vertices, vertex_normals):  # noqa: ANN001, ANN202
     """Points, unit normals and barycentric weights where rays meet their faces.
 
@@ -132,8 +118,7 @@ def render_linear(
     grid_x, grid_y = np.meshgrid(np.arange(width), np.arange(height))
     centers = np.column_stack([grid_x.ravel(), grid_y.ravel()]).astype(np.float64)
     image = np.asarray(backdrop(camera, centers), dtype=np.float32)
-    to_world = camera.R_cam_world.T @ np.linalg.inv(camera.K)
-    origin, directions = camera.center, _directions(centers, to_world)
+    origin, directions = camera.rays(centers)
     face, _ = mesh.first_hits(np.broadcast_to(origin, directions.shape), directions)
     near = np.pad((face >= 0).reshape(height, width), 1)
     near = near[:-2] | near[1:-1] | near[2:]
@@ -145,7 +130,7 @@ def render_linear(
     for start in range(0, len(pixels), band):
         chosen = pixels[start : start + band]
         places = (centers[chosen, None, :] + offsets).reshape(-1, 2)
-        directions = _directions(places, to_world)
+        _, directions = camera.rays(places)
         met, hits = surface_hits(mesh, origin, directions)
         colours = np.zeros((len(places), 3), dtype=np.float32)
         colours[met] = shade(hits)

@@ -1,5 +1,6 @@
 """Rough cameras, wrong in everything at once, as a person's alignment by eye is."""
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -8,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
-from photoreg.geometry.projection_error import seen_points
 from photoreg.geometry.sampling import sample_surface
+from photoreg.geometry.visibility import seen_points
 
 FOCAL_SIGMA = 0.012
 """Relative error of the focal length at unit scale."""
@@ -113,7 +114,10 @@ def _moved(
     # Aimed by eye: the object is back where the photo shows it, but for the aim's error.
     new_depth = depth * np.exp(DISTANCE_SIGMA * direction[4])
     pixel = camera.project(pivot[None])[0] + AIM_SHARE * side_px * direction[5:7]
-    ray = np.linalg.solve(K, np.array([pixel[0], pixel[1], 1.0]))
+    aimed = dataclasses.replace(camera, K=K).undistort(pixel[None])[0]
+    ray = np.linalg.solve(K, np.array([aimed[0], aimed[1], 1.0]))
     target = new_depth * ray
     R = turn.as_matrix() @ camera.R_cam_world
-    return Camera(K, R, target - R @ pivot, camera.width, camera.height)
+    return dataclasses.replace(
+        camera, K=K, R_cam_world=R, t_cam_world=target - R @ pivot
+    )

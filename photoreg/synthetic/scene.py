@@ -30,10 +30,10 @@ from photoreg.synthetic.render import (
 from photoreg.synthetic.rock import rock_albedo
 from photoreg.synthetic.rough_cameras import rough_start as rough_start
 from photoreg.synthetic.sensor import decode_photo, encode_photo, expose, occluded
-from photoreg.synthetic.worlds import UP, World, make_views, make_world
+from photoreg.synthetic.worlds import UP, World, cropped_views, make_views, make_world
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Scene:
     """A mesh and photos of it, with the truth that only a made scene can tell."""
 
@@ -75,7 +75,8 @@ def make_scene(options: SceneOptions) -> Scene:
     """Makes the scene that ``options`` describe; the same options, the same scene."""
     settings = options.settings()
     world = make_world(options)
-    cameras = make_views(world, options)
+    views = make_views(world, options)
+    cameras = cropped_views(world, views, options)
     shades = _shades(world, cameras, settings)
     backdrop = _backdrop(world.mesh, options.seed, settings)
     encoded: dict[str, bytes] = {}
@@ -97,7 +98,12 @@ def make_scene(options: SceneOptions) -> Scene:
         photos=tuple(photos),
         cameras=cameras,
         rough_cameras=tuple(
-            rough_start(world.mesh, cameras, options.error_px, options.seed)
+            rough_start(
+                world.mesh,
+                [camera.pinhole for camera in views],
+                options.error_px,
+                options.seed,
+            )
         ),
         true_mesh=world.mesh,
         albedo=world.albedo,

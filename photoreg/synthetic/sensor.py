@@ -1,13 +1,13 @@
 """From light to the bytes of a photo: occluder, lens, exposure, noise, encoding."""
 
 import io
-from pathlib import Path
 
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image
 
+from photoreg.imaging.encoding import encode, encode_jpeg
 from photoreg.synthetic.noise import SolidNoise
 from photoreg.synthetic.options import SceneSettings
 from photoreg.synthetic.render import encode_srgb
@@ -63,11 +63,9 @@ def encode_photo(
 ) -> tuple[str, bytes]:
     """File name and bytes of a photo: a JPEG, or a PNG if ``jpeg_quality`` is 0."""
     if jpeg_quality > 0:
-        name, parameters = f"{stem}.jpg", [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality]
-    else:
-        name, parameters = f"{stem}.png", [cv2.IMWRITE_PNG_COMPRESSION, 1]
-    _, data = cv2.imencode(Path(name).suffix, pixels[:, :, ::-1], parameters)
-    return name, data.tobytes()
+        return f"{stem}.jpg", encode_jpeg(pixels, jpeg_quality)
+    options = (cv2.IMWRITE_PNG_COMPRESSION, 1)
+    return f"{stem}.png", encode(pixels, ".png", options)
 
 
 def decode_photo(data: bytes) -> UInt8[np.ndarray, "h w 3"]:

@@ -36,7 +36,7 @@ OUTSIDE, INSIDE, RIM = 0, 1, 2
 """Layers of the surface."""
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class ShellForm:
     """Numbers of the form, in units of the aperture's half width."""
 

@@ -19,7 +19,7 @@ def _colour(red: int, green: int, blue: int) -> tuple[float, ...]:
     return tuple(decode_srgb(np.array([red, green, blue], dtype=np.float64)).tolist())
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class ShellPattern:
     """Colours (linear RGB) and numbers of the pattern."""
 

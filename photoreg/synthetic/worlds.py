@@ -1,13 +1,14 @@
 """The objects that synthetic scenes show, their colours, and cameras about them."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from photoreg.geometry.camera import Camera
+from photoreg.geometry.lens import Lens
 from photoreg.geometry.mesh import Mesh
 from photoreg.synthetic.isosurface import gradient
 from photoreg.synthetic.noise import SolidNoise
@@ -20,6 +21,9 @@ UP = np.array([0.0, 0.0, 1.0])
 """Upwards in the scenes' world."""
 FRONT_DEG = -90.0
 """Azimuth that the middle photo is taken from."""
+RISE_DEG = 22.0
+"""How much higher the cameras of a second turn about the object stand, and of a third;
+a fourth begins below again."""
 SHELL_HEIGHT_MM = 90.0
 SHELL_CENTER_MM = np.array([38.0, -21.0, 64.0])
 SHELL_FACING_DEG = -40.0
@@ -28,7 +32,7 @@ SHELL_TILT_DEG = 38.0
 """How far the shell's axis leans to the right, seen from the front."""
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class World:
     """An object with a solid texture, and how it likes to be photographed."""
 
@@ -142,10 +146,51 @@ def make_views(world: World, options: SceneOptions) -> tuple[Camera, ...]:
             options,
             azimuth_deg=FRONT_DEG
             + (index - 0.5 * (options.n_photos - 1)) * baseline_deg,
-            elevation_deg=world.elevations_deg[index % 2],
+            elevation_deg=world.elevations_deg[index % 2]
+            + RISE_DEG * (int(index * baseline_deg / 360.0) % 3),
             rng=rng,
         )
         for index in range(options.n_photos)
+    )
+
+
+def cropped_views(
+    world: World, cameras: Sequence[Camera], options: SceneOptions
+) -> tuple[Camera, ...]:
+    """The cameras of photos that show the same, but are parts of larger ones.
+
+    Each principal point is off by ``options.crop`` to a side of its own, and the camera
+    turned so that the object's middle stays in its place.
+    """
+    if options.crop == 0.0:
+        return tuple(cameras)
+    rng = np.random.default_rng([options.seed, 0xC409])
+    middle = world.mesh.bounds.mean(axis=0)
+    return tuple(
+        _cropped(camera, middle, options.crop, rng.uniform(0.0, 2.0 * np.pi))
+        for camera in cameras
+    )
+
+
+def _cropped(
+    camera: Camera, middle: np.ndarray, share: float, side_rad: float
+) -> Camera:
+    size = np.array([camera.width, camera.height])
+    K = camera.K.copy()
+    K[:2, 2] += share * size * [np.cos(side_rad), np.sin(side_rad)]
+    pixel = camera.pinhole.project(middle[None])[0]
+    rays = [np.linalg.solve(k, [*pixel, 1.0]) for k in (camera.K, K)]
+    before, after = (ray / np.linalg.norm(ray) for ray in rays)
+    # Both are less than a right angle apart.
+    axis = np.cross(before, after)
+    turn = Rotation.from_rotvec(
+        axis * np.arcsin(np.linalg.norm(axis)) / max(np.linalg.norm(axis), 1e-300)
+    ).as_matrix()
+    return dataclasses.replace(
+        camera,
+        K=K,
+        R_cam_world=turn @ camera.R_cam_world,
+        t_cam_world=turn @ camera.t_cam_world,
     )
 
 
@@ -170,8 +215,9 @@ def _view(
     roll = np.radians(rng.uniform(-2.0, 2.0))
     side = np.cross(direction, UP)
     up = np.cos(roll) * UP + np.sin(roll) * side / np.linalg.norm(side)
-    focal_px = world.focal_share * width * rng.uniform(0.985, 1.015)
-    distance = world.focal_share * mesh.diagonal
+    focal_share = settings.focal_share or world.focal_share
+    focal_px = focal_share * width * rng.uniform(0.985, 1.015)
+    distance = focal_share * mesh.diagonal
     aim = width * rng.uniform(-0.012, 0.012, 2)
     fill = world.fill * rng.uniform(0.97, 1.03)
     target = middle
@@ -193,4 +239,4 @@ def _view(
     camera = looking()
     K = camera.K.copy()
     K[:2, 2] += rng.choice([-1.0, 1.0], 2) * rng.uniform(0.003, 0.006, 2) * width
-    return dataclasses.replace(camera, K=K)
+    return dataclasses.replace(camera, K=K, lens=Lens(*options.distortion))

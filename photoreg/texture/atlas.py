@@ -21,6 +21,10 @@ MAX_OVERLAP = 0.02
 texel cannot show two places."""
 
 
+NO_AREA = 1e-12
+"""Of the whole surface, or of the whole texture: less is rounding."""
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Atlas:
     """Where each face lies in the texture."""
@@ -35,6 +39,8 @@ class Atlas:
     """Width of the packed charts by their height: the shape of the texture."""
     is_own: bool = False
     """Whether these are the mesh's own coordinates."""
+    why_anew: str = ""
+    """Why the mesh's own coordinates are not these, where it has some: "overlaps"."""
 
     def corners_px(self, width: int, height: int) -> Float[np.ndarray, "m 3 2"]:
         """Corners of the faces in texels; (0, 0) is the centre of the top-left texel."""
@@ -53,22 +59,24 @@ def make_atlas(mesh: Mesh, keep_uv: bool = True) -> Atlas:
     Args:
         mesh: The surface.
         keep_uv: Use the mesh's own coordinates if it has valid ones: finite, within
-            [0, 1], with an area, hardly overlapping.
+            [0, 1], an area for every face that has one, hardly overlapping.
     """
-    if keep_uv:
-        own = _own_atlas(mesh)
-        if own is not None:
-            return own
-    return _charts(mesh)
+    if not keep_uv or mesh.corner_uv is None:
+        return _charts(mesh)
+    own = _own_atlas(mesh, mesh.corner_uv)
+    if isinstance(own, Atlas):
+        return own
+    return dataclasses.replace(_charts(mesh), why_anew=own)
 
 
-def _own_atlas(mesh: Mesh) -> Atlas | None:
-    """The mesh's own coordinates; None if it has none or they cannot hold a texture."""
-    if mesh.corner_uv is None:
-        return None
-    uv = mesh.corner_uv.reshape(-1, 2)
+def _own_atlas(mesh: Mesh, corner_uv: Float[np.ndarray, "m 3 2"]) -> Atlas | str:
+    """The mesh's own coordinates; if they cannot hold a texture, what they do instead."""
+    uv = corner_uv.reshape(-1, 2)
     if not np.isfinite(uv).all() or uv.min() < -1e-6 or uv.max() > 1.0 + 1e-6:
-        return None
+        return "leaves the picture"
+    flat = (mesh.face_areas > NO_AREA * mesh.area) & ~(_areas(corner_uv) > NO_AREA)
+    if flat.any():
+        return f"has no place for {flat.sum():,} of its {len(flat):,} faces"
     rows = np.column_stack([mesh.faces.reshape(-1), uv])
     unique, index = np.unique(rows, axis=0, return_inverse=True)
     uv_faces = index.reshape(-1, 3).astype(np.int32)
@@ -76,14 +84,19 @@ def _own_atlas(mesh: Mesh) -> Atlas | None:
     atlas = Atlas(uv, unique[:, 0].astype(np.int32), uv_faces, is_own=True)
 
     size = PACKING_RESOLUTION
-    a, b, c = np.moveaxis(atlas.corners_px(size, size), 1, 0)
-    ab, ac = b - a, c - a
-    texels = 0.5 * np.abs(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]).sum()
+    texels = _areas(atlas.corners_px(size, size)).sum()
     covered = int((atlas.faces_at_texels(size, size) >= 0).sum())
     # Rasterising covers the charts' area, up to their borders, when none overlap.
     if covered == 0 or texels > covered * (1.0 + MAX_OVERLAP):
-        return None
+        return "overlaps"
     return atlas
+
+
+def _areas(corners: Float[np.ndarray, "m 3 2"]) -> Float[np.ndarray, "m"]:
+    """Areas of triangles in the plane."""
+    a, b, c = np.moveaxis(corners, 1, 0)
+    ab, ac = b - a, c - a
+    return 0.5 * np.abs(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
 
 
 def _charts(mesh: Mesh) -> Atlas:
@@ -118,7 +131,25 @@ def _charts(mesh: Mesh) -> Atlas:
         uv_faces.astype(np.int32),
         aspect=packer.width / packer.height,
     )
-    return _with_slivers(atlas, chart)
+    return _with_all_vertices(_with_slivers(atlas, chart), mesh)
+
+
+def _with_all_vertices(atlas: Atlas, mesh: Mesh) -> Atlas:
+    """Gives each vertex coordinates of its own where several share a place.
+
+    Packing takes corners at one place of a chart for one.
+    """
+    if (atlas.uv_vertex[atlas.uv_faces] == mesh.faces).all():
+        return atlas
+    keys = atlas.uv_faces.astype(np.int64) * len(mesh.vertices) + mesh.faces
+    pairs, index = np.unique(keys, return_inverse=True)
+    rows, vertices = np.divmod(pairs, len(mesh.vertices))
+    return dataclasses.replace(
+        atlas,
+        uv=atlas.uv[rows],
+        uv_vertex=vertices,
+        uv_faces=index.reshape(-1, 3).astype(np.int32),
+    )
 
 
 def _with_slivers(atlas: Atlas, chart: Int[np.ndarray, "k"]) -> Atlas:

@@ -10,6 +10,8 @@ from jaxtyping import Float, Int, UInt8
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
+from photoreg.geometry.unseen import why_unseen
+from photoreg.imaging.pairs import choose_pairs
 from photoreg.imaging.photo import Photo
 from photoreg.texture import kernels
 from photoreg.texture.atlas import Atlas, make_atlas
@@ -26,8 +28,10 @@ from photoreg.texture.blend import (
     fitted_photo,
     log_colours,
     outward_normals,
+    seen_colours,
 )
 from photoreg.texture.fill_unseen import spread
+from photoreg.texture.strangers import LEAST_PHOTOS, Stranger, find_strangers
 from photoreg.texture.usable_area import find_usable_area
 
 GROWN_RINGS = 2
@@ -38,7 +42,7 @@ TEXELS_A_PIXEL = 1.25
 there, and a texel for a pixel blurs what it samples."""
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class TexturedMesh:
     """A mesh with one texture, in its original coordinates and vertex order."""
 
@@ -58,6 +62,9 @@ class TexturedMesh:
     """Share of the area for which each photo is the one that counts most."""
     gains: Float[np.ndarray, "n 3"]
     """By which each photo's channels were multiplied to even out exposure."""
+    left_out_share_by_photo: tuple[float, ...] = ()
+    """Of the surface that each photo sees, the share that was not painted from it, because
+    other photos disagree: something stands before the object there."""
     config: TextureConfig
     """How it was made."""
 
@@ -81,9 +88,10 @@ class TexturedMesh:
         """Whose texture coordinates these are, and why not the mesh's own."""
         if self.atlas.is_own:
             return "laid out as the mesh's own"
-        if self.mesh.corner_uv is None or not self.config.keep_uv:
-            return "laid out anew"
-        return "laid out anew, as the mesh's own layout overlaps or leaves the picture"
+        why = self.atlas.why_anew
+        return (
+            f"laid out anew, as the mesh's own layout {why}" if why else "laid out anew"
+        )
 
     @property
     def coverage_colours(self) -> tuple[tuple[int, int, int], ...]:
@@ -155,8 +163,9 @@ def baking(
         Steps, and last of all the textured mesh.
 
     Raises:
-        InputError: if photos and cameras do not match, or unseen faces are to keep
-            colours that the mesh does not have.
+        InputError: if photos and cameras do not match, unseen faces are to keep
+            colours that the mesh does not have, or no photo sees the surface; the
+            sentence says what may be wrong with the cameras' world.
     """
     config = config or TextureConfig()
     _check_photos(photos, cameras)
@@ -172,19 +181,39 @@ def baking(
 
     n = len(photos)
     gains = np.ones((n, 3))
-    if config.even_exposure and n > 1:
-        few, logs = table.thinned(EXPOSURE_TEXELS), []
+    looks_for_strangers = config.leave_out_strangers and n >= LEAST_PHOTOS
+    strangers: list[Stranger] = []
+    if (config.even_exposure and n > 1) or looks_for_strangers:
+        few, colours = table.thinned(EXPOSURE_TEXELS), []
         for i, (photo, camera) in enumerate(zip(photos, cameras, strict=True)):
             yield BakingStep(f"Comparing exposures: {photo.name}", 0.25 + 0.15 * i / n)
-            logs.append(log_colours(mesh, normals, photo, camera, few, config))
-        gains = exposure_gains(logs)
+            colours.append(seen_colours(mesh, normals, photo, camera, few, config))
+        # Strangers are found among colours of one exposure, painted so or not.
+        evened = exposure_gains(
+            [log_colours(one) for one in colours], choose_pairs(mesh, photos, cameras)
+        )
+        if config.even_exposure:
+            gains = evened
+        if looks_for_strangers:
+            geometry = few.width, few.corners_px, mesh.vertices, mesh.faces
+            places = kernels.points_at(few.index, few.face, *geometry)
+            strangers = find_strangers(cameras, places, colours, evened)
+        del colours
     sums = TexelSums.zero(len(table.index))
     for i, (photo, camera) in enumerate(zip(photos, cameras, strict=True)):
         yield BakingStep(f"Painting {photo.name}", 0.4 + 0.45 * i / n)
+        if strangers:
+            photo = strangers[i].taken_from(photo)
         fitted = fitted_photo(photo, camera, mesh, table)
         prepared = find_usable_area(mesh, fitted, camera, config.margin, config.feather)
         blend_photo(mesh, normals, prepared, gains[i], i, table, config, sums)
 
+    seen = sums.photo >= 0
+    if not seen.any():
+        raise InputError(
+            f"No photo sees {mesh.name}, so there is nothing to paint: 0 % of the surface "
+            f"is seen. {why_unseen(mesh, cameras)}"
+        )
     yield BakingStep("Filling what no photo sees", 0.85)
     texture = np.zeros((height * width, 3), dtype=np.uint8)
     texture[:] = config.unseen_colour
@@ -200,22 +229,22 @@ def baking(
         photo_index,
         quality,
     )
-    seen = sums.photo >= 0
     if config.unseen == "own":
         _keep_own_colours(mesh, table, seen, texture)
-    elif config.unseen == "diffuse" and seen.any() and not seen.all():
+    elif config.unseen == "diffuse" and not seen.all():
         _fill_unseen(mesh, table, seen, texture)
     shares = _area_shares(mesh, table, sums.photo, n)
     yield TexturedMesh(
-        mesh,
-        atlas,
-        _with_gutter(texture.reshape(height, width, 3), table),
-        photo_index.reshape(height, width),
-        quality.reshape(height, width),
-        float(shares.sum()),
-        tuple(float(share) for share in shares),
-        gains,
-        config,
+        mesh=mesh,
+        atlas=atlas,
+        texture=_with_gutter(texture.reshape(height, width, 3), table),
+        photo_index=photo_index.reshape(height, width),
+        quality=quality.reshape(height, width),
+        seen_share=float(shares.sum()),
+        seen_share_by_photo=tuple(float(share) for share in shares),
+        gains=gains,
+        left_out_share_by_photo=tuple(one.share for one in strangers) or (0.0,) * n,
+        config=config,
     )
 
 
@@ -357,14 +386,23 @@ def _area_shares(
     mesh: Mesh, table: TexelTable, photo: np.ndarray, n_photos: int
 ) -> Float[np.ndarray, "n"]:
     """Share of the surface's area for which each photo counts most."""
-    face, photo = table.face[table.inside], photo[table.inside]
+    face, at_texel = table.face[table.inside], photo[table.inside]
     n_texels = np.bincount(face, minlength=len(mesh.faces))
-    # Faces too small for a texel are left out of the account.
     area = mesh.face_areas / np.maximum(n_texels, 1)
-    total = float(mesh.face_areas[n_texels > 0].sum())
-    seen = photo >= 0
-    sums = np.bincount(photo[seen], weights=area[face[seen]], minlength=n_photos)
-    return sums / total if total > 0.0 else sums
+    seen = at_texel >= 0
+    sums = np.bincount(at_texel[seen], weights=area[face[seen]], minlength=n_photos)
+    # A face too small for a texel shows the one at its middle.
+    small = np.flatnonzero(n_texels == 0) if len(table.index) else np.zeros(0, int)
+    column, row = np.rint(table.corners_px[small].mean(axis=1)).astype(np.int64).T
+    texel = np.clip(column, 0, table.width - 1) + table.width * np.maximum(row, 0)
+    at = np.minimum(np.searchsorted(table.index, texel), len(table.index) - 1)
+    shown = np.where(table.index[at] == texel, photo[at], -1)
+    sums += np.bincount(
+        shown[shown >= 0],
+        weights=mesh.face_areas[small][shown >= 0],
+        minlength=n_photos,
+    )
+    return sums / mesh.area
 
 
 def _with_gutter(

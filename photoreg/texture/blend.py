@@ -11,14 +11,13 @@ from jaxtyping import Bool, Float, Int
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
-from photoreg.geometry.rasteriser import render_geometry
+from photoreg.geometry.winding import facing_cameras
+from photoreg.imaging.pairs import Pair
 from photoreg.imaging.photo import Photo
 from photoreg.texture import kernels
 from photoreg.texture.usable_area import PreparedPhoto, find_usable_area
 
 MIN_SIZE, MAX_SIZE = 64, 8192
-RAY_TOLERANCE = 1e-4
-"""How far behind what hides it a texel may lie, relative to the mesh's diagonal."""
 BUMP = 0.005
 """Size of the roughness that is smoothed before angles are judged, relative to the
 mesh's diagonal."""
@@ -34,7 +33,7 @@ MIN_JOINT_TEXELS = 300
 UnseenMode = Literal["diffuse", "colour", "own"]
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class TextureConfig:
     """Settings of texture baking."""
 
@@ -42,7 +41,7 @@ class TextureConfig:
     """Texels on the longer side; "auto": somewhat finer than the photos'
     pixels on the surface, a multiple of 64, at most 8192."""
     mode: Literal["blend", "best"] = "blend"
-    """"blend": photos pass into each other, detail comes from the best view. "best":
+    """"blend": photos blend into each other; detail comes from the best view. "best":
     each texel from its best photo alone, with visible seams between photos."""
     unseen: UnseenMode = "diffuse"
     """What no photo sees: colours spread from the neighbours, one colour, or the mesh's
@@ -52,6 +51,9 @@ class TextureConfig:
     neighbour at all)."""
     even_exposure: bool = True
     """Multiply each photo's channels so that photos agree where both see."""
+    leave_out_strangers: bool = True
+    """Where three photos or more see a place and one disagrees, as something stands
+    before the object there, do not paint from that one."""
     keep_uv: bool = True
     """Keep the mesh's own texture coordinates, if it has any that can hold a texture;
     else it is laid out anew."""
@@ -151,19 +153,9 @@ class TexelSums:
 def outward_normals(
     mesh: Mesh, cameras: Sequence[Camera]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Smooth normals of vertices, and face normals, that look outwards.
-
-    Cameras see an object from outside: the side most of what they see has.
-    """
-    votes = 0
-    for camera in cameras:
-        buffer = render_geometry(mesh, camera, min(camera.width, 256))
-        face = buffer.face_index[buffer.covered]
-        view = camera.center - buffer.points[buffer.covered]
-        facing = (mesh.face_normals[face] * view).sum(axis=1)
-        votes += int((facing > 0).sum()) - int((facing < 0).sum())
-    sign = -1.0 if votes < 0 else 1.0
-    return sign * _smooth_normals(mesh), sign * mesh.face_normals
+    """Smooth normals of vertices, and face normals, that look to the cameras' side."""
+    mesh = facing_cameras(mesh, cameras)
+    return _smooth_normals(mesh), mesh.face_normals
 
 
 def _smooth_normals(mesh: Mesh) -> Float[np.ndarray, "k 3"]:
@@ -197,7 +189,7 @@ def fitted_photo(photo: Photo, camera: Camera, mesh: Mesh, table: TexelTable) ->
     excess = camera.focal_px / (np.median(depth[depth > 0.0]) * table.per_unit)
     if excess < 1.5:
         return photo
-    return photo.resized(max(16, int(max(photo.width, photo.height) / excess)))
+    return photo.resized(int(max(photo.width, photo.height) / excess))
 
 
 def blend_photo(
@@ -251,7 +243,7 @@ def blend_photo(
         points = kernels.points_at(index[seen], face[seen], *geometry)
         # Depth at the nearest pixel let a few through whose occluder is narrower than
         # a pixel: on scans up to 4 of 1,000.
-        free = mesh.is_unoccluded(points, camera.center, RAY_TOLERANCE)
+        free = mesh.is_unoccluded(points, camera.center)
         seen, points = seen[free], points[free]
         kernels.accumulate_photo(
             start + seen,
@@ -272,7 +264,7 @@ def blend_photo(
         )
 
 
-def log_colours(
+def seen_colours(
     mesh: Mesh,
     normals: tuple[np.ndarray, np.ndarray],
     photo: Photo,
@@ -280,7 +272,7 @@ def log_colours(
     table: TexelTable,
     config: TextureConfig,
 ) -> Float[np.ndarray, "n 3"]:
-    """Logarithm of the colours that a photo, reduced, sees; NaN where it does not."""
+    """The colours that a photo, reduced, sees, float32; NaN where it sees nothing."""
     sums = TexelSums.zero(len(table.index))
     prepared = find_usable_area(
         mesh, photo.resized(EXPOSURE_SIDE_PX), camera, config.margin, config.feather
@@ -290,15 +282,23 @@ def log_colours(
     seen = sums.photo >= 0
     values = sums.colours[seen]
     colours[seen] = values[:, 1:4] / values[:, :1] + values[:, 5:] / values[:, 4:5]
+    return colours
+
+
+def log_colours(colours: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """Logarithm of `seen_colours`; NaN too where they say nothing of exposure."""
+    colours = colours.copy()
     # Neither black nor clipped: their ratios mean nothing.
     colours[~((colours > 8.0) & (colours < 247.0)).all(axis=1)] = np.nan
     return np.log(colours)
 
 
-def exposure_gains(logs: Sequence[np.ndarray]) -> Float[np.ndarray, "n 3"]:
+def exposure_gains(
+    logs: Sequence[np.ndarray], pairs: Sequence[Pair]
+) -> Float[np.ndarray, "n 3"]:
     """Gains by channel that make photos agree on the texels that two of them see.
 
-    Least squares on the medians of the log ratios of all pairs, so that a highlight
+    Least squares on the medians of the log ratios of pairs, so that a highlight
     or a passer-by does not count; the gains' geometric mean is 1.
 
     The gains that a refinement fits on its way are not used: they are those of CIE LUV,
@@ -307,21 +307,21 @@ def exposure_gains(logs: Sequence[np.ndarray]) -> Float[np.ndarray, "n 3"]:
 
     Args:
         logs: For each photo what `log_colours` saw at the same texels.
+        pairs: Which photos to compare.
     """
     n = len(logs)
     rows, ratios = [np.ones(n)], [np.zeros(3)]
-    for i in range(n):
-        for j in range(i):
-            difference = logs[i] - logs[j]
-            difference = difference[np.isfinite(difference[:, 0])]
-            if len(difference) < MIN_JOINT_TEXELS:
-                continue
-            row = np.zeros(n)
-            row[i], row[j] = 1.0, -1.0
-            # Pairs that share more say more, as far as their medians are noise.
-            weight = np.sqrt(min(1.0, len(difference) / 5000.0))
-            rows.append(weight * row)
-            ratios.append(-weight * np.median(difference, axis=0))
+    for j, i in pairs:
+        difference = logs[i] - logs[j]
+        difference = difference[np.isfinite(difference[:, 0])]
+        if len(difference) < MIN_JOINT_TEXELS:
+            continue
+        row = np.zeros(n)
+        row[i], row[j] = 1.0, -1.0
+        # Pairs that share more say more, as far as their medians are noise.
+        weight = np.sqrt(min(1.0, len(difference) / 5000.0))
+        rows.append(weight * row)
+        ratios.append(-weight * np.median(difference, axis=0))
     # Photos that share nothing with others are left as they are (minimum norm).
     log_gains = np.linalg.lstsq(np.array(rows), np.array(ratios), rcond=None)[0]
     return np.exp(log_gains)

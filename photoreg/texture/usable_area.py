@@ -6,10 +6,11 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from photoreg.geometry.camera import Camera
+from photoreg.geometry.camera import Camera, reduced_size
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.rasteriser import render_geometry
 from photoreg.imaging.photo import Photo
+from photoreg.imaging.undistort import undistorted_photo
 from photoreg.texture import kernels
 
 EDGE_JUMP_PX = 5.0
@@ -32,9 +33,9 @@ class PreparedPhoto:
     """A photo ready to be sampled."""
 
     camera: Camera
-    """Its camera, for the size of these pixels."""
+    """Its camera, for the size of these pixels, without a lens."""
     pixels: UInt8[np.ndarray, "h w 3"]
-    """The photo."""
+    """The photo, undistorted."""
     depth: Float[np.ndarray, "h w"]
     """Depth of the surface at each pixel, float32; infinity where there is none."""
     clearance: UInt8[np.ndarray, "h w"]
@@ -46,7 +47,7 @@ class PreparedPhoto:
 def find_usable_area(
     mesh: Mesh, photo: Photo, camera: Camera, margin: float, feather: float
 ) -> PreparedPhoto:
-    """Finds where a photo may be used.
+    """Finds where a photo may be used, undistorted.
 
     Args:
         mesh: The surface.
@@ -56,7 +57,8 @@ def find_usable_area(
             side, but at least 2 pixels.
         feather: Share of that side over which the photo's weight grows from there.
     """
-    camera = camera.resized(photo.width, photo.height)
+    photo = undistorted_photo(photo, camera)
+    camera = camera.resized(photo.width, photo.height).pinhole
     buffer = render_geometry(mesh, camera)
     edges = kernels.photo_edges(
         buffer.depth,
@@ -99,12 +101,7 @@ def spilt_background(
         pixels: The photo.
         covered: Where the mesh is.
     """
-    side = max(pixels.shape[:2])
-    scale = min(1.0, SPILL_SIDE_PX / side)
-    size = (
-        max(1, round(pixels.shape[1] * scale)),
-        max(1, round(pixels.shape[0] * scale)),
-    )
+    size = reduced_size(pixels.shape[1], pixels.shape[0], SPILL_SIDE_PX)
     on = cv2.resize(covered.view(np.uint8), size, interpolation=cv2.INTER_NEAREST)
     if on.all() or not on.any():
         return np.zeros(covered.shape, dtype=bool)

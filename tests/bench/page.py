@@ -137,7 +137,7 @@ def _moves(
         window.dismiss_toasts()
         window.tab("2 Align")
     one, other = windows
-    one.choose("View", "Move")
+    one.choose("View", "Move the camera")
     one.frames(20)
     one.page.evaluate(_LISTEN)
     other.page.evaluate(_WATCH)

@@ -290,10 +290,10 @@ def _slowdown() -> Iterator[Metric]:
     config = RegistrationConfig.preset("thorough")
     genetic = dataclasses.replace(config.genetic, generations=100_000)
     job = Refine(
-        document.used_cameras,
-        dataclasses.replace(config, genetic=genetic),
-        OverlayView("blend", 0, surface="photos"),
-        document.true_cameras([entry.name for entry in document.used]),
+        cameras=document.used_cameras,
+        config=dataclasses.replace(config, genetic=genetic),
+        view=OverlayView(style="blend", onto=0, surface="photos"),
+        truth=document.true_cameras([entry.name for entry in document.used]),
     )
     drawing.surface(job.cameras, "photos")  # What takes long the first time.
     stream = _Switched(lambda _: None)

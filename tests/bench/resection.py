@@ -11,8 +11,9 @@ from photoreg.formats.cameras.cameras_json import load_cameras
 from photoreg.formats.meshes.read import MESH_SUFFIXES, load_mesh
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
-from photoreg.geometry.projection_error import projection_error, seen_points
+from photoreg.geometry.projection_error import projection_error
 from photoreg.geometry.sampling import SurfaceSamples, sample_surface
+from photoreg.geometry.visibility import seen_points
 from photoreg.resection.solver import (
     CLICK_SIGMA_PX,
     FOCAL_SIGMA,

@@ -49,7 +49,7 @@ def third_view(setting: Setting) -> Iterator[Metric]:
 
 
 def _made() -> Iterator[Metric]:
-    scene = make_scene(SceneOptions("clean", seed=3))
+    scene = make_scene(SceneOptions(kind="clean", seed=3))
     *_, last = refine(scene.mesh, scene.photos, scene.rough_cameras)
     true, refined = (
         bake_texture(scene.mesh, scene.photos, cameras)

@@ -30,7 +30,7 @@ def _opening(chromium: Browser) -> Iterator[OpenApp]:
     def start(document: Document) -> App:
         session = Session(State(document=document))
         controller = Controller(session, warm_up=False)
-        page = Page(session, controller, port=0, shadows=False)
+        page = Page(session, controller, port=0, shadows=False, surroundings=False)
         window = chromium.new_page(viewport={"width": 1100, "height": 700})
         driver = Driver(window, f"http://127.0.0.1:{page.port}")
         running.append(App(session, controller, page, driver))

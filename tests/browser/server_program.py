@@ -13,7 +13,14 @@ from pathlib import Path
 from app.page.main import run_app
 if __name__ == "__main__":  # The worker process imports it again.
     folder, *files = map(Path, sys.argv[1:])
-    run_app(files, project=folder, port=0, open_browser=False, shadows=False)
+    run_app(
+        files,
+        project=folder,
+        port=0,
+        open_browser=False,
+        shadows=False,
+        surroundings=False,
+    )
 """
 
 

@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from playwright.sync_api import expect
 
 from app.model.camera_numbers import film_mm
 from app.model.session import select, setting, with_document
 from app.model.state import same_camera
+from app.panels.view import MODES
 from app.web.styles import THROUGH_STYLES
 from tests.browser.driver import Driver, wait_until
 
@@ -26,7 +28,7 @@ def app(running, toy_document):
     running.driver.dismiss_toasts()
     running.driver.tab("2 Align")
     yield running
-    running.driver.choose("View", "Free")
+    running.driver.choose("View", "3-D scene")
     running.driver.frames(2)
 
 
@@ -75,7 +77,7 @@ def undo(app, before) -> None:
 
 def test_an_arc_of_the_orbit_gizmo_carries_the_camera_around_the_object(app):
     driver, before = app.driver, app.state.document
-    driver.choose("Gizmo", "Orbit")
+    driver.choose("Handles", "Around the object")
     wait_until(
         lambda: app.page.scene.gizmos.orbit.visible, "the orbit gizmo is shown", 20
     )
@@ -140,7 +142,7 @@ def test_an_arc_of_the_move_gizmo_turns_the_camera_in_its_place(app):
 
 def test_the_wheel_in_move_brings_the_camera_nearer_on_its_own_axis(app):
     driver, before = app.driver, app.state.document
-    driver.choose("View", "Move")
+    driver.choose("View", "Move the camera")
     wait_for_view(app, driver)
     canvas = driver.canvas()
     driver.page.mouse.move(
@@ -160,12 +162,11 @@ def test_the_wheel_in_move_brings_the_camera_nearer_on_its_own_axis(app):
 def test_the_view_that_is_active_is_marked(app):
     driver, (viewport,) = app.driver, app.page._viewports.values()
     row = driver.page.get_by_role("radiogroup", name="View", exact=True)
-    for label in ("Inspect", "Free", "Move", "Free"):
+    for label in ("Look through", "3-D scene", "Move the camera", "3-D scene"):
         driver.choose("View", label)
-        assert viewport.mode == label.lower()
+        assert MODES[viewport.mode].label == label
         driver.frames(10)  # Until nothing else has the page painted anew.
-        marked = row.get_by_role("radio", checked=True).all_inner_texts()
-        assert marked == [label]
+        expect(row.get_by_role("radio", checked=True)).to_have_text([label])
 
 
 def test_a_report_from_before_the_view_was_there_moves_no_camera(app):
@@ -180,7 +181,7 @@ def test_a_report_from_before_the_view_was_there_moves_no_camera(app):
 
 def test_what_lies_over_the_photo_is_chosen_in_the_page(app):
     driver, scene = app.driver, app.page.scene
-    driver.choose("View", "Inspect")
+    driver.choose("View", "Look through")
     wait_for_view(app, driver)
     wait_until(lambda: "/through/photo" in nodes(driver), "the photo stands there", 30)
     seen = {}
@@ -199,14 +200,14 @@ def test_what_lies_over_the_photo_is_chosen_in_the_page(app):
 
 
 def pixels_of(app) -> bytes:
-    """The picture that stands in the scene in Inspect, as it was sent."""
+    """The picture that stands in the scene in *Look through*, as it was sent."""
     (viewport, *_) = app.page._viewports.values()
     return viewport._photo._plane.image._data
 
 
 def test_inspect_zooms_at_the_cursor_and_pans_and_never_moves_the_camera(app):
     driver, before = app.driver, app.state.document
-    driver.choose("View", "Inspect")
+    driver.choose("View", "Look through")
     wait_for_view(app, driver)
     wait_until(lambda: "/through/photo" in nodes(driver), "the photo stands there", 30)
     driver.frames(6)
@@ -310,12 +311,12 @@ def test_the_dolly_zoom_changes_the_lens_and_keeps_the_object_s_size(app):
         20,
     )
     assert size(camera_of(app)) == pytest.approx(size(old), rel=1e-9)
-    assert app.state.undo_name == "Dolly zoom 1"
+    assert app.state.undo_name == "Zoom camera 1, same size"
     undo(app, before)
     slider = driver.page.get_by_role("slider").first
     slider.focus()
     driver.page.keyboard.press("ArrowRight")
-    wait_for_step(app, "Dolly zoom 1")
+    wait_for_step(app, "Zoom camera 1, same size")
     assert size(camera_of(app)) == pytest.approx(size(old), rel=1e-9)
     assert film_mm(camera_of(app)) > film_mm(old)
     undo(app, before)
@@ -386,17 +387,19 @@ def test_the_number_on_screen_follows_the_camera(app):
 def test_the_help_opens_and_closes_by_the_question_mark(app):
     page = app.driver.page
     page.keyboard.press("Shift+?")
-    page.get_by_text("dolly zoom: longer, shorter lens").wait_for()
+    page.get_by_text("zoom in, out; the object keeps its size").wait_for()
     page.get_by_role("button", name="Close", exact=True).click()
-    page.get_by_text("dolly zoom: longer, shorter lens").wait_for(state="detached")
+    page.get_by_text("zoom in, out; the object keeps its size").wait_for(
+        state="detached"
+    )
 
 
 @pytest.mark.slow
 def test_a_second_browser_sees_the_move_and_nothing_fights(app, second):
     first, before = app.driver, app.state.document
-    first.choose("View", "Move")
+    first.choose("View", "Move the camera")
     wait_for_view(app, first)
-    second.choose("View", "Move")
+    second.choose("View", "Move the camera")
     wait_for_view(app, second)
     # One hand orbits; the other browser's view follows to the very pose.
     canvas = first.canvas()
@@ -419,5 +422,5 @@ def test_a_second_browser_sees_the_move_and_nothing_fights(app, second):
     second.page.get_by_text("is being moved in another browser").wait_for()
     assert same_camera(camera_of(app), settled)
     app.page._claims.drop(owner)
-    second.choose("View", "Free")
+    second.choose("View", "3-D scene")
     undo(app, before)

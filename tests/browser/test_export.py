@@ -80,7 +80,7 @@ def test_the_texture_is_made_as_chosen_and_downloaded_as_glb(
         assert largest_shift_px(entry.camera, read[entry.name]) < 0.05
     driver.page.get_by_role("combobox", name="For", exact=True).click()
     driver.page.get_by_role("option", name="photoreg (JSON)").click()
-    driver.page.get_by_text("It loses nothing.").wait_for()
+    driver.page.get_by_text("Keeps everything.").wait_for()
     name, content = downloaded(driver, "Download the cameras")
     assert name == "cameras.json"
     entries = json.loads(content)["cameras"]

@@ -261,13 +261,13 @@ def test_projects_are_made_and_opened_and_a_moved_file_is_asked_for(
     page.get_by_role("dialog").get_by_role("textbox").fill(
         str(tmp_path / "Bronze head")
     )
-    app.driver.click("Make it")
+    app.driver.click("Create")
     page.get_by_text("Project: Bronze head").wait_for()
     opened = open_files([tmp_path / "rock.obj", tmp_path / "a.png"])
     app.session.change("Open", with_document(**vars(opened)))
     app.driver.click("New project")
     page.get_by_role("dialog").get_by_role("textbox").fill("Marble")
-    app.driver.click("Make it")
+    app.driver.click("Create")
     page.get_by_text("Project: Marble").wait_for()
     assert app.state.document.mesh is None
     assert projects.current.folder == tmp_path / "data" / "projects" / "Marble"
@@ -302,7 +302,7 @@ def test_a_project_that_cannot_be_had_leaves_the_question_open(
 
     app.driver.click("Open a project")
     dialog.get_by_role("textbox").fill("Nowhere")
-    app.driver.click("Open it")
+    app.driver.click("Open")
     objection = dialog.get_by_role("alert")
     objection.get_by_text("Nowhere").wait_for()
     assert dialog.get_by_role("textbox").input_value() == "Nowhere"
@@ -310,9 +310,9 @@ def test_a_project_that_cannot_be_had_leaves_the_question_open(
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / DATABASE).write_text("no database")
     dialog.get_by_role("textbox").fill(str(tmp_path / "broken"))
-    app.driver.click("Open it")
+    app.driver.click("Open")
     objection.get_by_text("broken").wait_for()
-    app.driver.click("Cancel")
+    dialog.get_by_role("button", name="Cancel").click()
     dialog.wait_for(state="detached")
 
     app.driver.click("Save as")
@@ -323,5 +323,18 @@ def test_a_project_that_cannot_be_had_leaves_the_question_open(
     app.driver.click("Save")
     page.get_by_text("Project: copy").wait_for()
     assert not dialog.count()
+
+    # For a new project in a folder that holds other things, a free one in it is offered.
+    app.driver.click("New project")
+    dialog.get_by_role("textbox").fill(str(tmp_path / "full"))
+    app.driver.click("Create")
+    objection.get_by_text("holds other files already").wait_for()
+    free = tmp_path / "full" / "photoreg-project"
+    assert dialog.get_by_role("textbox").input_value() == str(free)
+    app.driver.click("Create")
+    page.get_by_text("Project: photoreg-project").wait_for()
+    current = app.controller.projects.current
+    assert current is not None
+    assert current.folder == free
     assert (tmp_path / "full" / "letter.txt").read_text() == "mine"
     app.controller.projects.close()

@@ -16,7 +16,7 @@ def shown(chromium):
     states = hostile_states()
     session = Session(State(document=states[0].document))
     controller = Controller(session, warm_up=False)
-    page = Page(session, controller, port=0, shadows=False)
+    page = Page(session, controller, port=0, shadows=False, surroundings=False)
     window = chromium.new_page(viewport={"width": 1100, "height": 700})
     said: list[str] = []
     window.on("console", lambda message: said.append(message.text))

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from playwright.sync_api import expect
 
 from app.model.masks import decode_mask
 from app.model.session import select, setting, with_document
@@ -148,14 +149,18 @@ def test_two_wrong_pairs_of_eight_are_named_and_the_camera_holds(app, toy_docume
     error = projection_error(mesh, [true], [entry_of(app).camera]).mean
     assert error < 1.5, f"{error:.2f} px off"
     driver.page.get_by_text("Pairs 3 and 7 do not fit").wait_for()
-    assert driver.page.get_by_text("does not fit", exact=True).count() == 2
-    colours = {n: ball.color for n, ball in app.page.scene.markers._balls.items()}
-    assert [n for n, colour in sorted(colours.items()) if colour == WRONG] == [3, 7]
+    expect(driver.page.get_by_text("does not fit", exact=True)).to_have_count(2)
+
+    def marked_wrong() -> list[int]:
+        balls = dict(app.page.scene.markers._balls)
+        return [n for n, ball in sorted(balls.items()) if ball.color == WRONG]
+
+    wait_until(lambda: marked_wrong() == [3, 7], "their markers tell it too", 30)
 
 
 def test_a_mask_is_painted_with_the_mouse_and_undone(app):
     driver, before = app.driver, app.state.document
-    driver.page.get_by_role("button", name="Leave out", exact=True).click()
+    driver.page.get_by_role("button", name="Mask", exact=True).click()
     start, end = in_picker(driver, (40, 60)), in_picker(driver, (100, 60))
     driver.drag((start[0], start[1]), (end[0] - start[0], 0.0))
     wait_until(

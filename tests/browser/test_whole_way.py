@@ -47,7 +47,7 @@ def test_a_person_s_whole_way(open_app, tmp_path):
     driver.tab("2 Align")
     driver.frames(3)
     free = driver.page.screenshot(clip=driver.canvas())  # pyright: ignore[reportArgumentType]
-    driver.choose("View", "Move")
+    driver.choose("View", "Move the camera")
     centre = app.page.scene.frame.to_page(demo.photos[0].camera.center)
     wait_until(
         lambda: (
@@ -59,7 +59,7 @@ def test_a_person_s_whole_way(open_app, tmp_path):
     driver.frames(3)
     through = driver.page.screenshot(clip=driver.canvas())  # pyright: ignore[reportArgumentType]
     assert through != free
-    driver.choose("View", "Free")
+    driver.choose("View", "3-D scene")
     driver.frames(3)
     assert app.state.document is demo, "looking must not move anything"
 

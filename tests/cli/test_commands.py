@@ -1,5 +1,6 @@
 """The command line as a person meets it: words, figures, files and exit status."""
 
+import itertools
 import json
 import os
 import signal
@@ -14,6 +15,7 @@ import trimesh
 import trimesh.visual
 from PIL import Image
 
+from photoreg.cli import commands as commands_module
 from photoreg.cli.commands import commands, run
 from photoreg.formats.cameras.cameras_json import CameraFile, load_cameras, save_cameras
 from photoreg.formats.meshes.read import load_mesh
@@ -60,6 +62,22 @@ def refused(argv: list[str], capsys) -> str:
     assert "Traceback" not in printed.err
     assert printed.err.strip().startswith("photoreg: ")
     return printed.err
+
+
+def test_one_photo_goes_the_whole_way_too(folder, tmp_path, capsys):
+    out, model = tmp_path / "refined.json", tmp_path / "model.glb"
+    mesh, photo = str(folder / "mesh.ply"), photo_paths(folder)[0]
+    rough = ["--cameras", str(folder / "rough.json")]
+    words = ["refine", mesh, photo, *rough, "--out", str(out), "--preset", "fast"]
+    assert run([*words, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["verdict"]["grade"] != "unconvincing"
+    scene = small_scene()
+    camera = load_cameras(out).cameras[scene.photos[0].name]
+    error = projection_error(scene.mesh, scene.cameras[:1], [camera]).mean
+    assert error < 0.5, error
+    words = ["texture", mesh, photo, "--cameras", str(out), "--out", str(model)]
+    assert run(words) == 0
+    assert isinstance(trimesh.load(model, force="mesh"), trimesh.Trimesh)
 
 
 def test_refine_evaluate_texture_is_the_whole_way(folder, tmp_path, capsys):
@@ -119,9 +137,19 @@ def test_what_is_locked_or_shared_is_so_in_the_file(folder, tmp_path, capsys):
     assert run([*words, *search, "--share-focal", "--lock-focal", second]) == 0
     cameras = load_cameras(out).cameras
     assert cameras[first].focal_px == cameras[second].focal_px == rough[second].focal_px
+    assert run([*words, *search, "--lock", first]) == 0
+    locked = out.read_bytes()
+    assert run([*words, *search, "--only", second]) == 0
+    assert out.read_bytes() == locked
     capsys.readouterr()
     said = refused([*words, "--lock-pose", "nobody.png"], capsys)
     assert "no photo nobody.png to hold" in said
+    said = refused([*words, "--cropped", first, "--cropped", "nobody.png"], capsys)
+    assert "no photo nobody.png" in said
+    said = refused([*words, "--only", "nobody.png"], capsys)
+    assert "no photo nobody.png to refine" in said
+    said = refused([*words, "--only", first, "--lock", first], capsys)
+    assert "both refined (--only) and locked" in said
 
 
 def test_evaluate_of_the_truth_is_zero(folder, capsys):
@@ -133,9 +161,10 @@ def test_evaluate_of_the_truth_is_zero(folder, capsys):
 
 def test_synthesize_makes_a_scene_that_evaluates(tmp_path, capsys):
     target = tmp_path / "new scene"
-    options = ["--kind", "clean", "--seed", "3", "--n-faces", "1280", "--jpeg-quality"]
-    assert run(["synthesize", str(target), *options, "90"]) == 0
-    assert len(list(target.glob("*.jpg"))) == 2
+    options = ["--kind", "clean", "--seed", "3", "--n-faces", "1280"]
+    options += ["--photos", "3", "--jpeg-quality", "90"]
+    assert run(["synthesize", str(target), *options]) == 0
+    assert len(list(target.glob("*.jpg"))) == 3
     (mesh,) = target.glob("*.ply")
     words = ["evaluate", str(mesh), "--cameras", str(target / "rough.json")]
     truth = ["--truth", str(target / "cameras.json"), "--json"]
@@ -216,12 +245,6 @@ def test_an_unwritable_output_is_found_before_the_search(
     assert "Cannot write" in said
 
 
-def test_one_photo_alone_is_refused(folder, capsys):
-    words = refine_words(folder)
-    del words[2]
-    assert "at least 2 photos" in refused(words, capsys)
-
-
 def test_the_same_photo_twice_is_refused(folder, capsys):
     words = refine_words(folder)
     words[2] = words[3]
@@ -269,3 +292,51 @@ def test_ctrl_c_writes_the_best_so_far_and_says_so(folder, tmp_path):
     assert set(load_cameras(out).cameras) == set(
         load_cameras(folder / "rough.json").cameras
     )
+
+
+@pytest.mark.parametrize("meanwhile", ["somebody's file", "the folder is gone"])
+def test_cameras_are_not_lost_where_their_place_is_taken_during_the_run(
+    folder, tmp_path, monkeypatch, capsys, meanwhile
+):
+    place = tmp_path / "results"
+    place.mkdir()
+    out = place / "refined.json"
+    whole = commands_module.refine
+
+    def refine(*arguments):
+        yield from itertools.islice(whole(*arguments), 3)
+        if meanwhile == "somebody's file":
+            out.write_text("somebody's")
+        else:
+            place.rmdir()
+
+    monkeypatch.setattr(commands_module, "refine", refine)
+    monkeypatch.chdir(tmp_path)
+    assert run([*refine_words(folder, out=str(out)), "--json"]) == 2
+    printed = capsys.readouterr()
+    figures = json.loads(printed.out)
+    beside = place if meanwhile == "somebody's file" else tmp_path
+    assert figures["out"] == str(beside / "refined-2.json")
+    assert len(load_cameras(beside / "refined-2.json").cameras) == 2
+    told = " ".join(printed.err.split())
+    assert f"The cameras were written to {beside / 'refined-2.json'} instead." in told
+    if meanwhile == "somebody's file":
+        assert out.read_text() == "somebody's"
+
+
+def test_a_coverage_picture_is_written_with_the_model_or_neither_is(
+    folder, tmp_path, monkeypatch, capsys
+):
+    coverage, out = tmp_path / "coverage.png", tmp_path / "model.obj"
+    whole = commands_module.baking
+
+    def baking(*arguments):
+        yield from whole(*arguments)
+        coverage.write_bytes(b"somebody's")
+
+    monkeypatch.setattr(commands_module, "baking", baking)
+    words = ["texture", str(folder / "mesh.ply"), *photo_paths(folder), "--size", "64"]
+    words += ["--cameras", str(folder / "truth.json"), "--out", str(out)]
+    assert "coverage.png" in refused([*words, "--coverage", str(coverage)], capsys)
+    assert [path.name for path in tmp_path.iterdir()] == ["coverage.png"]
+    assert coverage.read_bytes() == b"somebody's"

@@ -35,7 +35,7 @@ def test_there_and_back_gives_the_same_projections(folder, capsys):
     assert convert(folder, "--out", str(model), "--to", "colmap") == 0
     said = capsys.readouterr().err
     assert "3 cameras, photoreg to colmap." in said
-    assert "Nothing of these cameras is lost." in said
+    assert "Nothing is lost." in said
     back = folder / "back.json"
     assert run(["convert", str(model), "--out", str(back), "--json"]) == 0
     figures = json.loads(capsys.readouterr().out)
@@ -142,4 +142,4 @@ def test_the_help_says_what_each_format_loses(capsys):
         run(["convert", "--help"])
     said = " ".join(capsys.readouterr().out.split())
     for name, known in CAMERA_FORMATS.items():
-        assert f"{name}: {known.keeps} {known.loses}" in said
+        assert f"{name}: {known.in_words}" in said

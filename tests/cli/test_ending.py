@@ -29,7 +29,7 @@ def ended(shell: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(words, capture_output=True, text=True, check=False)
 
 
-@pytest.mark.parametrize("seconds", [0.4, 0.9, 1.6])
+@pytest.mark.parametrize("seconds", [0.4, 0.9, 1.3, 1.6, 2.0, 2.4])
 @pytest.mark.parametrize("command", ["evaluate", "app"])
 def test_ctrl_c_in_the_first_seconds_is_one_line(
     tmp_path: Path, command: str, seconds: float

@@ -136,7 +136,7 @@ def test_a_change_sent_in_the_moment_of_its_end_is_kept(
         (["--address", "https://example.org/photos"], "at the top of a host name"),
     ],
 )
-def test_doors_that_would_not_shut_are_refused_in_a_sentence(
+def test_unsafe_access_is_refused_in_a_sentence(
     arguments: list[str], sentence: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     words = ["app", "--no-browser", *arguments]

@@ -24,7 +24,7 @@ from photoreg.errors import OutputError
 from photoreg.formats import writing
 from photoreg.formats.cameras.camera_set import CameraSet
 from photoreg.formats.cameras.cameras_json import CameraFile, load_cameras, save_cameras
-from photoreg.formats.cameras.registry import CAMERA_FORMATS, FormatName, write_cameras
+from photoreg.formats.cameras.registry import WRITTEN_FORMATS, FormatName, write_cameras
 from photoreg.formats.mark import is_marked, marked_picture
 from photoreg.formats.meshes.read import load_mesh
 from photoreg.formats.models.encode_texture import PictureKind, encode_picture
@@ -52,7 +52,12 @@ def world() -> tuple[Mesh, list[Camera], list[Photo], TexturedMesh]:
         photograph(mesh, camera, name)
         for name, camera in zip(PHOTOS, cameras, strict=True)
     ]
-    return mesh, cameras, photos, bake_texture(mesh, photos, cameras, TextureConfig(64))
+    return (
+        mesh,
+        cameras,
+        photos,
+        bake_texture(mesh, photos, cameras, TextureConfig(size=64)),
+    )
 
 
 def write_world(folder: Path) -> None:
@@ -259,7 +264,7 @@ def test_a_folder_that_takes_capitals_for_small_letters_holds_both_names_once(
 # The mark.
 
 
-@pytest.mark.parametrize("name", CAMERA_FORMATS)
+@pytest.mark.parametrize("name", WRITTEN_FORMATS)
 def test_cameras_are_written_again_unasked_where_their_format_has_a_mark(
     folder, name: FormatName
 ):
@@ -346,7 +351,7 @@ def test_the_library_may_save_what_it_loaded(folder):
 def test_the_library_does_not_write_over_the_mesh_that_it_textured(folder):
     _, cameras, photos, _ = world()
     mesh = load_mesh(folder / "s.ply")
-    textured = bake_texture(mesh, photos, cameras, TextureConfig(64))
+    textured = bake_texture(mesh, photos, cameras, TextureConfig(size=64))
     before = tree(folder)
     with pytest.raises(OutputError, match=r"s\.ply is read"):
         save_textured(folder / "s.ply", textured, overwrite=True)
@@ -436,8 +441,8 @@ def commands(draw: st.DrawFn) -> list[str]:
     if which == "reproduce":
         return ["reproduce", "--out", where, *words]
     if which == "convert":
-        name = draw(st.sampled_from(sorted(CAMERA_FORMATS)))
-        place = CAMERA_FORMATS[name].place
+        name = draw(st.sampled_from(sorted(WRITTEN_FORMATS)))
+        place = WRITTEN_FORMATS[name].place
         out = where if place == "folder" else f"{where}/{stem}{place}"
         if name == "nerfstudio":
             out = f"{where}/transforms.json"

@@ -82,6 +82,7 @@ def test_contains_reaches_from_first_to_last_pixel_centre(camera):
     assert not camera.contains(np.array([[np.nan, np.nan]]))[0]
 
 
+@pytest.mark.wrong_types
 @pytest.mark.parametrize(
     ("change", "words"),
     [

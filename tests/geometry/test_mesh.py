@@ -59,6 +59,21 @@ def test_the_far_side_is_occluded_in_any_unit(sphere, unit):
     assert not seen[cosine < -0.05].any()
 
 
+def test_a_thin_wall_hides_its_other_side_and_not_its_own():
+    square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], dtype=float)
+    behind = np.array([0.0, 0.0, 5e-4 * np.sqrt(8.0)])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    wall = Mesh(
+        np.concatenate([square, square - behind]),
+        np.concatenate([faces, faces + 4]),
+    )
+    inside = 0.9 * square
+    for distance in (3.0, 100.0 * wall.diagonal):
+        viewpoint = np.array([0.3, 0.2, distance])
+        assert wall.is_unoccluded(inside, viewpoint).all()
+        assert not wall.is_unoccluded(inside - behind, viewpoint).any()
+
+
 @pytest.mark.parametrize("suffix", MESH_SUFFIXES)
 def test_every_format_gives_the_same_surface(tmp_path, suffix):
     mesh = load_mesh(tetrahedron(tmp_path, suffix))

@@ -6,7 +6,7 @@ import pytest
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.sampling import sample_surface
-from photoreg.geometry.visibility import visible
+from photoreg.geometry.visibility import share_seen_twice, visible
 from tests.scenes import small_scene
 
 METHODS = ("normals", "rays", "depth")
@@ -92,3 +92,14 @@ def test_what_lies_outside_the_photo_or_behind_is_not_seen(method):
         240,
     )
     assert not visible(samples, [aside, behind], mesh, method).any()
+
+
+def test_seen_twice_is_what_two_cameras_see():
+    mesh, camera = two_walls(), front_camera()
+    # Its frame is 0.8 by 0.6 of the near wall; the walls are 1 by 1 and 4 by 4.
+    close = Camera.look_at([0.1, 0.15, -0.5], [0.1, 0.15, 0], [0, -1, 0], 200, 320, 240)
+    share = share_seen_twice(mesh, [camera, close], 0.25)
+    # Three standard errors of 2,000 samples.
+    assert np.isclose(share, 0.48 / 17.0, atol=0.011), share
+    assert share_seen_twice(mesh, [camera, close, close], 0.25) >= share
+    assert share_seen_twice(mesh, [camera], 0.25) == 0.0

@@ -88,6 +88,7 @@ def test_hue_has_no_seam_at_red():
     assert apart < 1.5, apart
 
 
+@pytest.mark.wrong_types
 def test_an_unknown_space_is_refused_by_name(pixels):
     with pytest.raises(InputError, match="'cmyk' is not a colour space; choose rgb"):
         convert(pixels, "cmyk")  # pyright: ignore[reportArgumentType]

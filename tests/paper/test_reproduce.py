@@ -129,7 +129,17 @@ def test_manual_starts_wider_than_the_papers_box_are_refused():
 
 def test_correlations_are_of_the_ends_and_of_the_logarithms_of_the_ways():
     def run(cost, end_px, path):
-        return MethodRun("population", "m", 1, 20.0, end_px, cost, 1.0, 10, path)
+        return MethodRun(
+            table="population",
+            method="m",
+            run=1,
+            start_px=20.0,
+            end_px=end_px,
+            cost=cost,
+            seconds=1.0,
+            evaluations=10,
+            path=path,
+        )
 
     runs = [
         run(1.0, 2.0, ((10.0, 100.0), (1.0, 10.0))),

@@ -20,7 +20,7 @@ from photoreg.registration.refinement import refine
 from photoreg.search.genetic import GeneticConfig
 from tests.scenes import small_scene
 
-WHOLE = Held(focal=True, principal_point=True, pose=True)
+WHOLE = Held(True, True, True, True)
 SHORT = dataclasses.replace(
     RegistrationConfig.preset("default"),
     samples=200,
@@ -267,9 +267,35 @@ def test_photos_go_by_name():
         ["a", "b", "c"], lock=["b"], lock_focal=["a"], share_focal=[()]
     )
     assert freedom.of(1) == WHOLE
-    assert freedom.of(0) == Held(focal=True)
+    assert freedom.of(0) == Held(focal=True, lens=True)
     assert freedom.shared_focal == ((0, 1, 2),)
     with pytest.raises(
-        InputError, match=r"no photo d to hold or to share; there are a, b"
+        InputError, match=r"no photo d to hold, to share or cropped; there are a, b"
     ):
         Freedom.of_photos(["a", "b", "c"], lock_pose=["d"])
+
+
+def test_cropped_photos_and_those_of_their_camera_get_a_wide_principal_point():
+    names = ["a", "b", "c"]
+    freedom = Freedom.of_photos(names, cropped=["b"], share_focal=[["b", "c"]])
+    assert [freedom.is_cropped(i) for i in range(3)] == [False, True, True]
+    assert freedom.subset([2]).is_cropped(0)
+    assert not freedom.subset([0]).is_cropped(0)
+    with pytest.raises(InputError, match="no photo d"):
+        Freedom.of_photos(names, cropped=["d"])
+    cameras = three_cameras()
+    with pytest.raises(InputError, match="there are 3 photos"):
+        Freedom(cropped=(3,)).require(cameras, names)
+    pivot = small_scene(n_photos=3).mesh.centroid
+    start = freedom.begin(cameras, pivot)
+    genes = GeneMap(start, pivot, None, "pinhole", "object", freedom)
+    ends = [
+        genes.to_cameras(np.eye(genes.n_genes)[genes.names().index(f"camera {c}: {p}")])
+        for c in (1, 2)
+        for p in ("principal point x",)
+    ]
+    moved = [ends[c][c].K[0, 2] - start[c].K[0, 2] for c in (0, 1)]
+    assert moved[1] == pytest.approx(24.0 * moved[0])
+    # The object stays in its place meanwhile.
+    gap = ends[1][1].project(pivot[None]) - start[1].project(pivot[None])
+    assert np.abs(gap).max() < 1e-6

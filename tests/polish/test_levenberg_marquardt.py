@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from photoreg.polish import levenberg_marquardt
 from photoreg.polish.levenberg_marquardt import (
     Damping,
     Prior,
@@ -11,6 +12,9 @@ from photoreg.polish.levenberg_marquardt import (
     overdispersion,
     own_end,
     scatter,
+    solve_normal,
+    total,
+    total_scatter,
 )
 
 
@@ -134,3 +138,79 @@ def test_where_a_term_would_go_alone_is_within_the_limits():
     model = Quadratic(1.0, np.array([-1e9, -0.5]), np.diag([1e-9, 0.0]))
     end = own_end(model, np.array([0.25, 0.0]), np.array([3.0, 3.0]))
     assert end == pytest.approx([3.0, 0.5])
+
+
+class Between:
+    """Ten residuals of two cameras of nine numbers each, among those of many."""
+
+    def __init__(self, i, k, seed):
+        rng = np.random.default_rng(seed)
+        self.rows = np.concatenate([np.arange(9 * one, 9 * one + 9) for one in (i, k)])
+        self.J, self.r = rng.normal(size=(10, 18)), rng.normal(size=10)
+
+    def linearise(self, x):
+        r = self.r + self.J @ x[self.rows]
+        return Quadratic(0.5 * float(r @ r), self.J.T @ r, self.J.T @ self.J, self.rows)
+
+    def scatter(self, x):
+        del x
+        return self.J.T @ self.J
+
+    def whole(self, n):
+        """The same rows as a dense term's."""
+        J = np.zeros((len(self.r), n))
+        J[:, self.rows] = self.J
+        return J
+
+
+def ring_of_terms(n_cameras=9):
+    return [
+        Between(i, (i + step) % n_cameras, 10 * i + step)
+        for i in range(n_cameras)
+        for step in (1, 2)
+    ]
+
+
+def test_the_sum_of_terms_of_few_numbers_each_is_that_of_all_residuals():
+    terms, n = ring_of_terms(), 81
+    x = np.random.default_rng(0).normal(size=n)
+    J = np.concatenate([term.whole(n) for term in terms])
+    r = J @ x + np.concatenate([term.r for term in terms])
+    model = total(terms, x)
+    assert model.cost == pytest.approx(0.5 * float(r @ r))
+    np.testing.assert_allclose(model.gradient, J.T @ r, atol=1e-9)
+    np.testing.assert_allclose(model.normal, J.T @ J, atol=1e-9)
+    np.testing.assert_allclose(total_scatter(terms, x), J.T @ J, atol=1e-9)
+
+
+def test_sparse_normal_equations_have_the_solution_of_dense_ones(monkeypatch):
+    terms, n = ring_of_terms(), 81
+    normal = total(terms, np.zeros(n)).normal + 0.1 * np.eye(n)
+    right = np.random.default_rng(1).normal(size=n)
+    dense = np.linalg.solve(normal, right)
+    np.testing.assert_allclose(solve_normal(normal, right), dense, rtol=1e-9)
+    prior = Prior(np.zeros(n), 0.1 * np.eye(n))
+    # Of the last 20 numbers each two move together.
+    directions = np.eye(n)[:, :71]
+    directions[71:, 61:] = np.eye(10)
+    ends = []
+    for most in (60, 100):
+        monkeypatch.setattr(levenberg_marquardt, "DENSE_UP_TO", most)
+        found = minimise([prior, *terms], np.ones(n), Damping(), directions)
+        *_, last = found
+        ends.append(last.x)
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-9)
+    assert np.abs(ends[0]).max() > 0.1
+
+
+def test_where_a_term_would_go_alone_does_not_know_the_other_cameras(monkeypatch):
+    term, n = ring_of_terms()[3], 81
+    x = np.random.default_rng(2).normal(size=n)
+    ends = []
+    for most in (60, 100):
+        monkeypatch.setattr(levenberg_marquardt, "DENSE_UP_TO", most)
+        ends.append(own_end(term.linearise(x), x, np.full(18, 3.0), term.rows))
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-12)
+    others = np.setdiff1d(np.arange(n), term.rows)
+    assert np.array_equal(ends[0][others], x[others])
+    assert np.abs(ends[0] - x)[term.rows].max() > 0.01

@@ -5,15 +5,22 @@ import dataclasses
 import numba
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 
-from photoreg.geometry.camera import Camera
+from photoreg.geometry.camera import Camera, reduced_size
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.surface_view import surface_view
+from photoreg.imaging.pairs import all_pairs
 from photoreg.parameters.bounds import PriorScales
 from photoreg.parameters.increments import Increments
-from photoreg.polish.kernels import colours_at, weighted_moments
-from photoreg.polish.photometric_term import CUT, PairTerm, measure_noise
-from photoreg.polish.polish_cameras import PolishConfig, _terms, _working_size
+from photoreg.polish.kernels import bilinear_at, colours_at, weighted_moments
+from photoreg.polish.photometric_term import (
+    CUT,
+    PairTerm,
+    measure_noise,
+    spread_pixels,
+)
+from photoreg.polish.polish_cameras import PolishConfig, _terms
 from photoreg.synthetic.rough_cameras import rough_start
 from tests.polish import naive_photometric_term
 from tests.polish.naive_photometric_term import catmull_rom, pair_cost
@@ -36,11 +43,21 @@ def term_and_x(scene):
         [inc.of_camera(c) for inc, c in zip(increments, scene.cameras, strict=True)]
     )
     x = x + 0.03 * np.random.default_rng(1).normal(size=18)
-    sizes = [_working_size(photo, 2048) for photo in scene.photos]
+    sizes = [reduced_size(photo.width, photo.height, 2048) for photo in scene.photos]
     config = PolishConfig(
         blurs_px=(2.0,), points=(3000,), rounds=(1,), rim_reaches_px=(8.0,)
     )
-    terms = _terms(scene.mesh, scene.photos, increments, x, sizes, 0, config, 0)
+    terms = _terms(
+        scene.mesh,
+        scene.photos,
+        increments,
+        x,
+        sizes,
+        0,
+        config,
+        0,
+        all_pairs(2),
+    )
     (pair,) = (term for term in terms if isinstance(term, PairTerm))
     return pair, x
 
@@ -59,6 +76,52 @@ def test_distance_to_jumps_of_depth_sees_one_surface_hide_another():
     assert row[32] == 0.0
     assert row[10] > 10.0
     assert row[54] > 10.0
+
+
+def test_between_pixels_values_are_bilinear():
+    rng = np.random.default_rng(0)
+    image = rng.uniform(0, 255, (20, 30, 3)).astype(np.float32)
+    # Some lie beyond the border, whose values go on there.
+    pixels = rng.uniform([-3.0, -3.0], [33.0, 23.0], (40, 5, 2))
+    rows, columns = pixels[..., 1], pixels[..., 0]
+    twin = np.stack(
+        [
+            map_coordinates(
+                image[..., k].astype(float), [rows, columns], order=1, mode="nearest"
+            )
+            for k in range(3)
+        ],
+        axis=-1,
+    )
+    gap = np.abs(bilinear_at(image, pixels) - twin).max()
+    assert gap < 1e-4, gap
+
+
+def test_points_are_spread_evenly_over_what_is_seen():
+    rows, columns = np.indices((300, 400))
+    window = (rows - 150) ** 2 + (columns - 220) ** 2 < 110**2
+    pixels, rank = spread_pixels(window, 5000, seed=3)
+    assert 5000 <= len(pixels) < 6500
+    assert rank.shape == (len(pixels),)
+    assert abs(np.corrcoef(rank, pixels[:, 0])[0, 1]) < 0.05
+    near = np.rint(pixels).astype(int)
+    assert window[near[:, 1], near[:, 0]].all()
+    counts = np.histogram2d(*pixels.T, bins=8, range=[[160, 280], [90, 210]])[0]
+    # Independent draws would scatter by the root of the mean.
+    assert counts.std() < 0.7 * np.sqrt(counts.mean()), counts
+
+
+def test_a_pixel_more_or_less_leaves_the_other_points_where_they_are():
+    rows, columns = np.indices((300, 400))
+    window = (rows - 150) ** 2 + (columns - 220) ** 2 < 110**2
+    less = window.copy()
+    less[tuple(np.argwhere(window)[7])] = False
+    before, after = (
+        {tuple(row) for row in np.column_stack(spread_pixels(seen, 5000, seed=3))}
+        for seen in (window, less)
+    )
+    assert after <= before
+    assert len(before - after) <= 4
 
 
 def test_distance_to_jumps_of_depth_leaves_a_steep_slope_alone():
@@ -187,7 +250,17 @@ def test_terms_that_would_go_astray_alone_are_weighted_all_the_same(seed):
         Increments(camera, scene.mesh.centroid, scales) for camera in start
     )
     x, sizes = np.zeros(18), [(320, 240)] * 2
-    terms = _terms(scene.mesh, scene.photos, increments, x, sizes, 0, PolishConfig(), 0)
+    terms = _terms(
+        scene.mesh,
+        scene.photos,
+        increments,
+        x,
+        sizes,
+        0,
+        PolishConfig(),
+        0,
+        all_pairs(2),
+    )
     assert terms
     for term in terms:
         sure = dataclasses.replace(term, weight=1e6 * term.weight).tempered(x)

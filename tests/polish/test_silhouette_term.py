@@ -10,7 +10,12 @@ from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.surface_view import surface_view
 from photoreg.parameters.bounds import PriorScales
 from photoreg.parameters.increments import Increments
-from photoreg.polish.silhouette_term import RimTerm, find_edges, find_rim
+from photoreg.polish.silhouette_term import (
+    SEGMENT_POINTS,
+    RimTerm,
+    find_edges,
+    find_rim,
+)
 from tests.polish_scene import make_polish_scene
 
 
@@ -31,6 +36,22 @@ def test_the_rim_is_where_the_surface_turns_away(scene):
         faces, _ = scene.mesh.first_hits(np.broadcast_to(origin, rays.shape), rays)
         share = np.mean((faces >= 0) == expected)
         assert share > 0.97, (shift, share)
+
+
+def test_a_rim_that_is_longer_by_a_pixel_has_the_same_points_elsewhere(scene):
+    view = surface_view(scene.mesh, scene.cameras[0])
+    rim = find_rim(scene.mesh, view, 400)
+    assert rim.stride_px > 1
+    # The first pixel of the outline, from which it is followed.
+    row, column = np.argwhere(view.covered)[0]
+    covered = view.covered.copy()
+    covered[row - 1, column] = True
+    other = find_rim(scene.mesh, dataclasses.replace(view, covered=covered), 400)
+    gaps = np.abs(rim.pixels[:, None] - other.pixels[None]).max(axis=2).min(axis=1)
+    changed = rim.pixels[gaps > 0.0]
+    # As far as the outline is blurred for its normals.
+    assert np.abs(changed - (column, row)).max() < 10.0
+    assert len(changed) < 0.1 * len(rim.pixels)
 
 
 def test_a_border_of_the_mesh_is_no_rim():
@@ -92,6 +113,36 @@ def test_gradient_is_the_finite_difference_of_the_cost(term_and_x):
     # The offsets end after six passes, not quite at their minimum.
     gap = np.abs(model.gradient - numeric).max() / np.abs(numeric).max()
     assert gap < 2e-2, gap
+
+
+def test_an_edge_that_is_not_found_changes_its_own_segment_only(scene):
+    camera = scene.cameras[0]
+    view = surface_view(scene.mesh, camera)
+    rim = find_rim(scene.mesh, view, 400)
+    edges = find_edges(scene.photos[0], view, rim, 6.0)
+    lost = edges.offset_px.copy()
+    lost[np.flatnonzero(np.isfinite(lost))[5]] = np.nan
+    increments = Increments(camera, scene.mesh.centroid, PriorScales())
+    size = (camera.width, camera.height)
+    with_it, without = (
+        RimTerm.measured(0, rim, found, size, increments, 0.5, 0.5)
+        for found in (edges, dataclasses.replace(edges, offset_px=lost))
+    )
+    assert with_it is not None
+    assert without is not None
+    counts, fewer = (
+        {
+            tuple(cell): n
+            for cell, n in zip(
+                term.cells.tolist(), np.diff(term.cell_starts), strict=True
+            )
+        }
+        for term in (with_it, without)
+    )
+    changed = [cell for cell, n in counts.items() if fewer.get(cell, 0) != n]
+    assert len(changed) == 1
+    mean = len(with_it.edges) / len(with_it.cells)
+    assert 0.7 * SEGMENT_POINTS < mean < 1.4 * SEGMENT_POINTS, mean
 
 
 def test_normal_matrix_is_symmetric_and_not_negative(term_and_x):

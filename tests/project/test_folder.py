@@ -1,5 +1,6 @@
 """A project among somebody's own files: none of them is removed, changed or followed."""
 
+import contextlib
 import dataclasses
 import hashlib
 import os
@@ -24,6 +25,7 @@ from photoreg.formats.photos.read import load_photo
 from photoreg.project.folder import DATABASE, LOCK, FolderInUseError
 from photoreg.project.project import Project
 from photoreg.project.schema import APPLICATION_ID, MIGRATIONS
+from tests.browser.driver import wait_until
 
 
 @pytest.fixture(autouse=True)
@@ -172,12 +174,11 @@ def test_an_upload_that_somebody_changed_since_is_theirs(tmp_path: Path) -> None
 WRITER = """
 import os, sys
 from pathlib import Path
-from photoreg.project import folder
 from photoreg.project.project import Project
 project = Project(sys.argv[1])
 if sys.argv[2] == "named":
-    os.fsync = lambda _: None
-    folder._put = lambda partial, path: (os.link(partial, path), os._exit(9))
+    link, os.fsync = os.link, lambda _: None
+    os.link = lambda *paths: (link(*paths), os._exit(9))
 else:
     os.fsync = lambda _: os._exit(9)
 project.keep_file("a.jpg", b"content" * 1000)
@@ -215,14 +216,21 @@ def test_a_database_from_elsewhere_cannot_have_other_files_removed(
     for victim in victims:
         victim.parent.mkdir(exist_ok=True)
         victim.write_bytes(b"mine")
+    project.close()
     own = hashlib.sha256(b"mine").hexdigest()
-    with project.writing():
-        for path in ("../victim", str(tmp_path / "victim"), "notes", "files/x/c"):
-            for kind in ("file", "part"):
-                project._own._note((path, kind, own, 4))
-        project._own._note(("files/2/b", "file", own, 4))
-        project._own._note(("files/../notes", "file", own, 4))
-        project._own._note(("files/..", "folder", None, None))
+    claims = [
+        *(
+            (path, kind, own, 4)
+            for path in ("../victim", str(tmp_path / "victim"), "notes", "files/x/c")
+            for kind in ("file", "part")
+        ),
+        ("files/2/b", "file", own, 4),
+        ("files/../notes", "file", own, 4),
+        ("files/..", "folder", None, None),
+    ]
+    with contextlib.closing(sqlite3.connect(folder / DATABASE)) as database, database:
+        database.executemany("INSERT OR REPLACE INTO own VALUES (?, ?, ?, ?)", claims)
+    project = Project(folder, create=False)
     project.collect_garbage()
     assert all(victim.read_bytes() == b"mine" for victim in victims)
     assert not (folder / "files" / "a.jpg").exists()
@@ -381,20 +389,14 @@ def test_the_log_is_written_through_no_link(tmp_path: Path) -> None:
 # The folder goes, the lock goes.
 
 
-def failing(session: Session, projects: Projects) -> str:
-    """What the page says of the keeping, after a look at it."""
-    autosave = projects._autosave
-    assert autosave is not None
-    with autosave._condition:
-        assert autosave._condition.wait_for(lambda: autosave._failed, 20.0)
+def failing(session: Session) -> str:
+    """What the page says of the keeping, as soon as it fails."""
+    wait_until(lambda: session.state.saving, "it is told", 20.0)
     return session.state.saving
 
 
-def kept_again(projects: Projects) -> None:
-    autosave = projects._autosave
-    assert autosave is not None
-    with autosave._condition:
-        assert autosave._condition.wait_for(lambda: not autosave._failed, 20.0)
+def kept_again(session: Session) -> None:
+    wait_until(lambda: not session.state.saving, "it is kept again", 20.0)
 
 
 @pytest.mark.parametrize("replaced", [False, True])
@@ -409,7 +411,7 @@ def test_a_folder_that_was_renamed_is_told_and_kept_again_when_it_is_back(
     if replaced:
         Project(folder).close()
     before = hashes(folder) if replaced else {}
-    assert f"{folder} was removed, renamed" in failing(session, projects), "unasked"
+    assert f"{folder} was removed, renamed" in failing(session), "unasked"
     turned(session, 2.0)
     with pytest.raises(OutputError, match="not being kept"):
         projects.keep_file("a.jpg", b"a")
@@ -420,7 +422,7 @@ def test_a_folder_that_was_renamed_is_told_and_kept_again_when_it_is_back(
     if replaced:
         shutil.rmtree(folder)
     away.rename(folder)
-    kept_again(projects)
+    kept_again(session)
     assert projects.wait()
     assert session.state.saving == ""
     projects.close()
@@ -449,7 +451,7 @@ def test_a_project_whose_folder_is_away_can_be_saved_elsewhere_with_its_uploads(
         other.execute("CREATE TABLE theirs (a)")
         other.commit()
         before = hashes(folder)
-        failing(session, projects)
+        failing(session)
         turned(session, 3.0)
         projects.save_as(tmp_path / "copy")
         assert session.state.saving == ""

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-import app.model.state
+from app.control.autosave import DOCUMENT_TYPES
 from app.engine.warm_up import toy_scene
 from app.model.state import Document, PhotoEntry, same_camera
 from photoreg.errors import InputError, OutputError
@@ -26,11 +26,7 @@ from photoreg.project.lock import is_on_network
 from photoreg.project.project import Project, StoredStep
 from photoreg.project.runs import StoredGeneration
 
-TYPES = [
-    kind
-    for kind in vars(app.model.state).values()
-    if isinstance(kind, type) and dataclasses.is_dataclass(kind)
-]
+TYPES = DOCUMENT_TYPES
 
 
 @pytest.fixture
@@ -379,7 +375,7 @@ def test_a_run_is_remembered_from_its_start_to_its_answer(project, document):
     project.close()
 
 
-# Doors, damage, versions.
+# Locks, damage, versions.
 
 
 def test_a_second_program_may_look_but_not_write(project, document):

@@ -119,6 +119,16 @@ def test_what_is_held_is_held_after_a_break_too():
     assert bits(again[-1].cameras) == bits(events[-1].cameras)
 
 
+def test_a_cropped_photo_is_one_after_a_break_too_and_only_there():
+    freedom = Freedom(cropped=(1,))
+    events = run(SEARCH_ONLY, freedom=freedom)
+    event = of_phase(events, "search")[4]
+    again = run(SEARCH_ONLY, kept(event), freedom)
+    assert bits(again[-1].cameras) == bits(events[-1].cameras)
+    with pytest.raises(InputError, match="other photos, cameras or"):
+        run(SEARCH_ONLY, kept(event))
+
+
 def test_time_spent_before_the_break_counts():
     event = of_phase(run(SEARCH_ONLY), "search")[4]
     checkpoint = dataclasses.replace(checkpoint_of(event), elapsed_s=1000.0)
@@ -222,6 +232,9 @@ def test_the_digest_tells_every_part_apart():
     photo = scene.photos[0]
     darker = dataclasses.replace(photo, pixels=photo.pixels // 2)
     moved = dataclasses.replace(scene.mesh, vertices=scene.mesh.vertices + 1.0)
+    fewer_patches = dataclasses.replace(
+        CONFIG, polish=dataclasses.replace(CONFIG.polish, patches=10)
+    )
     digests = {
         problem_digest(*base),
         problem_digest(moved, *base[1:]),
@@ -232,5 +245,6 @@ def test_the_digest_tells_every_part_apart():
         problem_digest(
             *base[:3], dataclasses.replace(CONFIG, principal_point_prior=2.0), base[4]
         ),
+        problem_digest(*base[:3], fewer_patches, base[4]),
     }
-    assert len(digests) == 7
+    assert len(digests) == 8

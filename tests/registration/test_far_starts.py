@@ -1,17 +1,21 @@
 """Starts too far off: a run ends with a verdict, and no farther off than it can tell."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
 
+from photoreg.geometry.visibility import share_seen_twice
 from photoreg.polish.misfit import against_chance, disagreement
 from photoreg.polish.polish_cameras import PolishConfig
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.events import Finished
 from photoreg.registration.refinement import refine
 from photoreg.registration.verdict import is_better
+from photoreg.synthetic.options import SceneOptions
 from photoreg.synthetic.rough_cameras import rough_start
+from photoreg.synthetic.scene import make_scene
 from tests.scenes import small_scene
 
 THOROUGH = RegistrationConfig.preset("thorough")
@@ -39,11 +43,16 @@ def is_kept_or_better(scene, start, last, config) -> bool:
         )
         for cameras in (start, last.cameras)
     )
-    return is_better(after, before)
+    shared_before, shared = (
+        share_seen_twice(scene.mesh, cameras, config.polish.min_cosine)
+        for cameras in (start, last.cameras)
+    )
+    return is_better(after, before, shared / max(shared_before, 1e-9))
 
 
-def check_end(scene, seed, config):
-    start = rough_start(scene.mesh, scene.cameras, FAR_PX, seed)
+def check_end(scene, seed, config, far_px):
+    start = rough_start(scene.true_mesh, scene.cameras, far_px, seed)
+    config = dataclasses.replace(config, seed=seed)
     *_, last = refine(scene.mesh, scene.photos, start, config)
     assert isinstance(last, Finished)
     assert last.verdict is not None
@@ -55,4 +64,13 @@ def check_end(scene, seed, config):
 
 @pytest.mark.parametrize("seed", [1, 3, 5])
 def test_a_short_run_from_far_off_ends_with_a_verdict_and_no_worse(seed):
-    check_end(small_scene(), seed, QUICK)
+    check_end(small_scene(), seed, QUICK, FAR_PX)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(25))
+def test_a_thorough_run_from_far_off_ends_with_a_verdict_and_no_worse(seed):
+    kind = ("clean", "mid", "clutter", "hard", "shell")[seed % 5]
+    size: dict[str, Any] = {"width": 1024, "height": 768}
+    scene = make_scene(SceneOptions(kind=kind, seed=300 + seed, **size))
+    check_end(scene, seed, THOROUGH, (110.0, 250.0))

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
+from photoreg.geometry.lens import Lens
 from photoreg.geometry.rotations import rotation_matrices
 from photoreg.resection import pinhole_model
 from photoreg.resection.solver import (
@@ -359,6 +360,7 @@ def test_points_on_one_line_are_refused():
         solve(some_points(rng, 6), pixels)
 
 
+@pytest.mark.wrong_types
 def test_what_is_not_finite_or_does_not_match_is_refused():
     rng = np.random.default_rng(17)
     points, pixels = some_points(rng, 6), rng.uniform(0.0, 700.0, (6, 2))
@@ -398,3 +400,57 @@ def test_the_models_derivatives_are_its_differences():
         behind = pinhole_model.project(models.moved(-step, 1000.0), X, A)
         off = np.abs((ahead - behind) / (2.0 * h) - J[..., k]).max()
         assert off < 1e-3, f"parameter {k}: derivative off by {off:.2g} px"
+
+
+def phone(rng: np.random.Generator, k1: float) -> tuple[Camera, np.ndarray]:
+    """A camera with the lens of a phone, and points that fill its photo."""
+    camera = a_camera(rng, off_centre_px=8.0)
+    K = camera.K.copy()
+    K[:2, :2] *= 800.0 / 1200.0
+    camera = dataclasses.replace(camera, K=K, t_cam_world=0.72 * camera.t_cam_world)
+    return camera.with_lens(Lens(k1=k1)), some_points(rng, 40)
+
+
+@pytest.mark.parametrize("n", [8, 12])
+def test_exact_pairs_give_the_lens_exactly(n):
+    for seed, k1 in enumerate((-0.15, -0.05, 0.05)):
+        true, points = phone(np.random.default_rng([n, seed, 7]), k1)
+        points = points[:n]
+        solved = solve_camera(points, true.project(points), W, H)
+        assert solved.solved.endswith("lens"), (seed, solved.summary)
+        assert solved.camera.lens.k1 == pytest.approx(k1, abs=1e-5)
+        assert error_px(solved.camera, true, points) < 0.01
+
+
+def test_a_lens_is_solved_as_well_as_it_says_and_only_where_it_shows():
+    pulls, gains, kept = [], [], 0
+    for seed in range(12):
+        rng = np.random.default_rng([seed, 8])
+        k1 = -0.12 if seed % 2 else 0.0
+        true, points = phone(rng, k1)
+        pairs = points[:16]
+        pixels = true.project(pairs) + rng.normal(size=(16, 2))
+        solved = solve_camera(pairs, pixels, W, H, surface=points)
+        assert solved.k1 is not None
+        assert solved.k1_error is not None
+        pulls.append((solved.k1 - k1) / solved.k1_error)
+        if k1 == 0.0:
+            kept += not solved.camera.lens.is_ideal
+            continue
+        known = solve_camera(pairs, pixels, W, H, true.with_lens(Lens(k1=1e-12)))
+        gains.append(
+            error_px(known.camera, true, points) / error_px(solved.camera, true, points)
+        )
+        assert f"{solved.k1:.3f} ±" in solved.summary
+    # Clicks are thought to be half again as bad as they are here.
+    assert 0.2 < np.sqrt(np.mean(np.square(pulls))) < 1.5, pulls
+    assert kept <= 1
+    assert np.median(gains) > 1.5, gains
+
+
+def test_a_lens_that_is_known_is_not_solved():
+    true, points = phone(np.random.default_rng(3), -0.1)
+    points = points[:10]
+    solved = solve_camera(points, true.project(points), W, H, true)
+    assert solved.k1 is None
+    assert solved.camera.lens == true.lens

@@ -30,6 +30,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from photoreg.errors import PhotoregError
+from photoreg.formats.meshes.packed import pack
 from photoreg.geometry.mesh import Mesh
 from photoreg.imaging.photo import Photo
 from photoreg.project.check import CheckedProject
@@ -37,6 +38,7 @@ from tests.formats.photo_files import write_dng
 from tests.robustness import (
     lying_archives,
     lying_cameras,
+    lying_foreign,
     lying_input,
     lying_meshes,
     lying_photos,
@@ -149,6 +151,33 @@ def camera_files(kind: str) -> Content:
         return {str(f.relative_to(folder)): f.read_bytes() for f in files}
 
 
+def made(case: lying_input.Case) -> Content:
+    """The files of a case of the table, the one that is read first."""
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "in" / case.name
+        path.parent.mkdir()
+        if isinstance(case.content, bytes):
+            path.write_bytes(case.content)
+        else:
+            case.content(path)
+        others = [p for p in path.parent.rglob("*") if p.is_file() and p != path]
+        return {
+            str(p.relative_to(path.parent)): p.read_bytes() for p in (path, *others)
+        }
+
+
+def packed_mesh(obj: bytes, mtl: bytes) -> bytes:
+    """An OBJ with what it names, as the app keeps it."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        contents = {"m.obj": obj, "m.mtl": mtl, "t.png": lying_photos.png()}
+        for path, content in contents.items():
+            (folder / path).write_bytes(content)
+        mesh, *beside = (folder / path for path in contents)
+        pack(mesh, beside, folder / "m.meshzip")
+        return (folder / "m.meshzip").read_bytes()
+
+
 def targets() -> dict[str, list[Content]]:
     """Sound files for each reader."""
     pillow_heif.register_heif_opener()
@@ -221,6 +250,10 @@ def targets() -> dict[str, list[Content]]:
     ]
     for kind in lying_cameras.SAVED:
         found[kind] = [camera_files(kind)]
+    for case in lying_foreign.foreign_cases():
+        if case.expected.startswith("read:") and case.name.startswith("m."):
+            found[case.name.removeprefix("m.")].append(made(case))
+    found["meshzip"] = [{"m.obj.meshzip": packed_mesh(textured, mtl)}]
     found["project"] = [lying_projects.project_files()]
     return found
 

@@ -10,6 +10,7 @@ import numpy as np
 from photoreg.formats.cameras.camera_set import CameraSet
 from photoreg.formats.cameras.registry import write_cameras
 from photoreg.geometry.camera import Camera
+from tests.formats.metashape_files import document, row
 from tests.robustness.lying_input import Case
 from tests.robustness.lying_photos import png
 
@@ -27,6 +28,7 @@ SAVED = {
     "colmap": "model",
     "colmap-text": "model",
     "texrecon": "cams",
+    "metashape": "c.xml",
 }
 
 
@@ -36,6 +38,10 @@ def saved(path: Path, kind: str) -> list[Path]:
     for name in ("a.png", "b.png"):
         photos[name] = path.parent / name
         photos[name].write_bytes(png())
+    if kind == "metashape":
+        pose = row(np.eye(4))
+        path.write_text(document(second=f"<transform>{pose}</transform>"))
+        return [path]
     cameras = {name: camera() for name in photos}
     if kind in ("colmap", "colmap-text", "texrecon"):
         path.mkdir(exist_ok=True)
@@ -148,7 +154,7 @@ def camera_cases() -> Iterator[Case]:
     yield Case(
         "a newer version",
         name,
-        good.replace(b'"version": 1', b'"version": 2'),
+        good.replace(b'"version": 1', b'"version": 99'),
         "Update photoreg",
     )
     yield Case(

@@ -9,6 +9,7 @@ from typing import Any
 from app.engine.read_job import UnpackRequest
 from photoreg.formats.archives import unzipped
 from photoreg.formats.cameras.registry import read_cameras
+from photoreg.formats.meshes.packed import PACKED_SUFFIX
 from photoreg.formats.meshes.read import MESH_SUFFIXES, load_mesh
 from photoreg.formats.photos.read import load_photo
 from photoreg.formats.photos.registry import PHOTO_SUFFIXES
@@ -53,7 +54,7 @@ def read(case: Case, folder: Path) -> Any:
 def read_path(path: Path) -> Any:
     """Reads a mesh, a photo, or cameras, by the suffix."""
     suffix = path.suffix.lower()
-    if suffix in MESH_SUFFIXES:
+    if suffix in (*MESH_SUFFIXES, PACKED_SUFFIX):
         return load_mesh(path, LIMITS)
     if suffix in PHOTO_SUFFIXES:
         return load_photo(path, LIMITS)
@@ -69,7 +70,7 @@ def unpack(archive: Path) -> list[Path]:
     around = archive.parents[1]
     before = set(around.rglob("*"))
     paths = unzipped(
-        archive, folder, UnpackRequest((), folder, frozenset(), False).wants
+        archive, folder, UnpackRequest((), (), folder, frozenset(), False).wants
     )
     strays = {p for p in around.rglob("*") if not p.is_relative_to(folder)} - before
     assert not strays, f"files came elsewhere: {strays}"

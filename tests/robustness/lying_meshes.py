@@ -157,10 +157,13 @@ def mesh_cases() -> Iterator[Case]:
         if suffix not in ("stl", "glb", "ply"):
             huge = with_vertex(1e200)
             yield Case(
-                "a vertex is at 1e200", name, write(huge), "can be reckoned with"
+                "a vertex is at 1e200", name, write(huge), "the largest possible"
             )
         yield Case(
-            "a vertex is at 1e30", name, write(with_vertex(1e30)), "can be reckoned"
+            "a vertex is at 1e30",
+            name,
+            write(with_vertex(1e30)),
+            "the largest possible",
         )
         if suffix != "stl":
             high, low = F + np.eye(4, 3, dtype=int) * 99, F.copy()

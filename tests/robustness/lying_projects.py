@@ -67,7 +67,9 @@ def make_project(folder: Path) -> None:
     project.write_history(-1, [StoredStep(None, document), StoredStep("a", turned)], 1)
     curve = (CurvePoint(0, 1.0, 2.0), CurvePoint(1, 0.5, float("inf")))
     names = tuple(entry.name for entry in entries)
-    run = Run("review", 1, photo_names=names, start=tuple(cameras), curve=curve)
+    run = Run(
+        status="review", number=1, photo_names=names, start=tuple(cameras), curve=curve
+    )
     choices = {name: getattr(State(), name) for name in CHOICES}
     project.write_settings({"run": run, "runs": (run,), "choices": choices})
     number = project.runs.add_run({"preset": "fast"}, 1, names, cameras)

@@ -166,12 +166,18 @@ class World:
             return
         kept = project.keep_file("a.jpg", CONTENTS[1])
         inside = kept.parent.relative_to(project.folder).as_posix()
-        if not project._own._made(inside):
-            return
         partial = f"{inside}/{partial_name()}"
-        with project.writing():
-            project._own._note((partial, "part", None, None))
-            project._own._note((f"{inside}/never", "file", "0" * 64, 7))
+        with contextlib.closing(sqlite3.connect(project.path)) as database, database:
+            made = "SELECT 1 FROM own WHERE path = ? AND kind = 'folder'"
+            if database.execute(made, (inside,)).fetchone() is None:
+                return
+            database.executemany(
+                "INSERT OR REPLACE INTO own VALUES (?, ?, ?, ?)",
+                [
+                    (partial, "part", None, None),
+                    (f"{inside}/never", "file", "0" * 64, 7),
+                ],
+            )
         (project.folder / partial).write_bytes(CONTENTS[1][:4])
 
     def convert(self) -> None:

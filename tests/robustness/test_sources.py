@@ -1,9 +1,11 @@
 """Only regular files are read: nothing in their place blocks a reader, or never ends."""
 
 import ast
+import contextlib
 import os
 import signal
 import socket
+import sqlite3
 from pathlib import Path
 
 import pytest
@@ -139,10 +141,11 @@ def test_a_source_of_a_project_that_is_no_file_any_more_is_missing(tmp_path, kin
     project = Project(tmp_path / "project")
     with project.writing():
         key = project.files.add(source_file(path))
-        path.unlink()
-        put(kind, path)
-        # Also where the project claims just the size that a device has.
-        project._connection.execute("UPDATE files SET size = 0")
+    path.unlink()
+    put(kind, path)
+    # Also where the project claims just the size that a device has.
+    with contextlib.closing(sqlite3.connect(project.path)) as database, database:
+        database.execute("UPDATE files SET size = 0")
     problem = project.files.problem(key)
     assert problem is not None
     with pytest.raises(InputError):
@@ -150,7 +153,7 @@ def test_a_source_of_a_project_that_is_no_file_any_more_is_missing(tmp_path, kin
     project.close()
 
 
-def test_nothing_is_opened_but_by_the_one_door():
+def test_files_are_opened_by_photoreg_sources_alone():
     """In the sources: no file is opened, or given by name to a library that opens it."""
     found = []
     for package in (photoreg, app):
@@ -162,7 +165,7 @@ def test_nothing_is_opened_but_by_the_one_door():
 
 
 ALLOWED = {
-    "sources": "the door",
+    "sources": "the place",
     "photo_server": "static files of the program",
     "access": "the same",
     "run_report": "the same",

@@ -45,7 +45,9 @@ def test_a_shift_moves_by_its_interval():
 @pytest.mark.parametrize("coordinates", ["camera", "object"])
 def test_twice_the_box_reaches_twice_as_far(coordinates):
     scene = small_scene()
-    small = GeneBox(*[0.2 * v for v in dataclasses.astuple(OBJECT_BOX)])
+    small = GeneBox(
+        **{name: 0.2 * v for name, v in dataclasses.asdict(OBJECT_BOX).items()}
+    )
     args = (scene.mesh, scene.rough_cameras)
     one = box_reach(*args, small, coordinates=coordinates)
     two = box_reach(*args, small.widened(2.0), coordinates=coordinates)

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
@@ -37,9 +38,13 @@ def obvious_gap(P, inside, outside, image):
         read = []
         for point in points:
             x, y, depth = P @ np.append(point, 1.0)
-            column, row = (0, 0) if depth <= 0 else np.rint([x / depth, y / depth])
-            within = 0 <= column < image.shape[1] and 0 <= row < image.shape[0]
-            read.append(image[int(row), int(column)] if depth > 0 and within else 0.0)
+            at = np.array([y / depth, x / depth])
+            within = (at >= 0).all() and (at < np.array(image.shape) - 1).all()
+            read.append(
+                map_coordinates(image.astype(float), at[:, None], order=1)[0]
+                if depth > 0 and within
+                else 0.0
+            )
         means.append(np.mean(read))
     return means[0] - means[1]
 

@@ -329,3 +329,19 @@ def test_scenes_can_be_changed_one_setting_at_a_time():
     assert options.settings() == dataclasses.replace(
         SceneOptions(kind="clean").settings(), sensor_noise=8.0
     )
+
+
+def test_a_crop_moves_the_principal_point_and_leaves_the_object_in_its_place():
+    whole, part = small_scene(), small_scene(crop=0.2)
+    middle = whole.true_mesh.bounds.mean(axis=0)[None]
+    for before, after in zip(whole.cameras, part.cameras, strict=True):
+        moved = (after.K[:2, 2] - before.K[:2, 2]) / (WIDTH, HEIGHT)
+        assert np.hypot(*moved) == pytest.approx(0.2)
+        np.testing.assert_allclose(before.center, after.center, atol=1e-9)
+        gap = before.project(middle) - after.project(middle)
+        np.testing.assert_allclose(gap, 0.0, atol=1e-6)
+    # Nobody tells the rough cameras.
+    for one, other in zip(whole.rough_cameras, part.rough_cameras, strict=True):
+        np.testing.assert_array_equal(one.P, other.P)
+    with pytest.raises(InputError, match="crop"):
+        SceneOptions(crop=0.6)

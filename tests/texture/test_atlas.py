@@ -1,5 +1,7 @@
 """Layouts of texture charts: every face somewhere, no two at one place."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import trimesh
@@ -78,3 +80,37 @@ def test_neighbours_are_across_each_edge_and_mutual():
     faces = np.array([[0, 2, 1], [1, 2, 3], [0, 1, 4], [1, 0, 5]])
     expected = [[-1, 1, -1], [0, -1, -1], [-1, -1, -1], [-1, -1, -1]]
     np.testing.assert_array_equal(face_neighbours(faces), expected)
+
+
+def test_vertices_that_share_a_place_have_coordinates_of_their_own():
+    mesh = ball_and_moon(2)
+    corners = mesh.vertices[mesh.faces].reshape(-1, 3)
+    soup = Mesh(corners, np.arange(len(corners)).reshape(-1, 3))
+    atlas = make_atlas(soup)
+    np.testing.assert_array_equal(atlas.uv_vertex[atlas.uv_faces], soup.faces)
+    assert abs(overlap(atlas)) < 0.01, overlap(atlas)
+
+
+@pytest.mark.parametrize("lost", [1, 400])
+def test_a_layout_without_a_place_for_some_faces_is_made_anew_and_named(lost):
+    mesh = ball_and_moon(2)
+    plain = make_atlas(mesh)
+    uv = plain.uv[plain.uv_faces].copy()
+    assert make_atlas(dataclasses.replace(mesh, corner_uv=uv)).is_own
+    uv[:lost] = 0.0
+    atlas = make_atlas(dataclasses.replace(mesh, corner_uv=uv))
+    assert not atlas.is_own
+    assert atlas.why_anew == f"has no place for {lost} of its {len(mesh.faces)} faces"
+    assert areas(atlas.uv[atlas.uv_faces]).min() > 0.0
+
+
+def test_a_face_without_area_needs_no_place_in_a_layout():
+    mesh = ball_and_moon(2)
+    plain = make_atlas(mesh)
+    uv = plain.uv[plain.uv_faces]
+    sliver = Mesh(
+        mesh.vertices,
+        np.vstack([mesh.faces, [[5, 5, 9]]]),
+        np.concatenate([uv, np.zeros((1, 3, 2))]),
+    )
+    assert make_atlas(sliver).is_own

@@ -20,7 +20,7 @@ GAIN = (0.75, 0.8, 0.85)
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    return make_scene(SceneOptions("shell", width=640, height=480, gain=GAIN))
+    return make_scene(SceneOptions(kind="shell", width=640, height=480, gain=GAIN))
 
 
 @pytest.fixture(scope="module")

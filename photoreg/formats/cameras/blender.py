@@ -104,7 +104,7 @@ def save_blender(path: Path, cameras: CameraSet, overwrite: bool = False) -> Sav
     """
     entries, losses = [], []
     for name, camera in cameras.cameras.items():
-        camera, lost = without(name, camera, "Blender", "skew")
+        camera, lost = without(name, camera, "Blender", "skew", lens_terms=())
         losses += lost
         photo = cameras.photos.get(name)
         where = path_from(path.parent, photo) if photo else name

@@ -1,7 +1,7 @@
 """Bundler's bundle.out and its list of photos.
 
-World to camera in OpenGL's axes (y up, looking along -z), one focal length, and the
-middle of the photo as principal point. The file tells neither the photos' names, which
+World to camera in OpenGL's axes (y up, looking along -z), one focal length, two radial
+terms (k1 and k2), and the middle of the photo as principal point. The file tells neither the photos' names, which
 stand in a list beside it, nor their size, which is the photos' own.
 
 References:
@@ -26,9 +26,9 @@ from photoreg.formats.cameras.camera_set import (
 )
 from photoreg.formats.parsing import (
     camera_of,
+    lens_of,
     numbers,
     read_text,
-    refuse_distortion,
     whole,
 )
 from photoreg.formats.photos.files import path_from, stored_size
@@ -54,11 +54,17 @@ def save_bundler(path: Path, cameras: CameraSet, overwrite: bool = False) -> Sav
     lines, names, losses = [], [], []
     for name, camera in cameras.cameras.items():
         camera, lost = without(
-            name, camera, "Bundler", "skew", "aspect", "principal point"
+            name,
+            camera,
+            "Bundler",
+            "skew",
+            "aspect",
+            "principal point",
+            lens_terms=("k1", "k2"),
         )
         losses += lost
         rows = [
-            [camera.K[0, 0], 0.0, 0.0],
+            [camera.K[0, 0], camera.lens.k1, camera.lens.k2],
             *(OPENGL_AXES @ camera.R_cam_world),
             OPENGL_AXES @ camera.t_cam_world,
         ]
@@ -76,8 +82,8 @@ def load_bundler(path: Path, photos: dict[str, Path]) -> dict[str, Camera]:
     Cameras that Bundler did not register (focal length 0) are left out.
 
     Raises:
-        InputError: if a file is missing or not as it should be, a camera has lens
-            distortion, or a photo is not found.
+        InputError: if a file is missing or not as it should be, or a photo is not
+            found.
     """
     lines = read_text(path, "bundle file").splitlines()
     if not lines or not lines[0].startswith("# Bundle file"):
@@ -131,7 +137,6 @@ def _cameras(
         focal = values[0]
         if focal == 0.0:
             continue
-        refuse_distortion(values[1:3], where)
         photo = photos.get(name, path.parent / listed)
         if not photo.is_file():
             raise InputError(
@@ -143,4 +148,5 @@ def _cameras(
         R = OPENGL_AXES @ np.reshape(values[3:12], (3, 3))
         t = OPENGL_AXES @ np.array(values[12:])
         K = intrinsics(focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
-        yield name, camera_of(where, K, R, t, width, height)
+        lens = lens_of(where, *values[1:3])
+        yield name, camera_of(where, K, R, t, width, height, lens)

@@ -2,7 +2,7 @@
 
 import dataclasses
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
+from photoreg.geometry.lens import TERMS, Lens
 from photoreg.words import nfc
 
 MAX_SIDE_PX = 1_000_000
@@ -94,7 +95,11 @@ def intrinsics(fx: float, fy: float, cx: float, cy: float) -> Float[np.ndarray, 
 
 
 def without(
-    name: str, camera: Camera, program: str, *features: str
+    name: str,
+    camera: Camera,
+    program: str,
+    *features: str,
+    lens_terms: Sequence[str] = TERMS,
 ) -> tuple[Camera, list[str]]:
     """The camera nearest to ``camera`` that lacks ``features``, and what that costs.
 
@@ -105,6 +110,7 @@ def without(
         *features: Of "skew", "aspect" (fx != fy) and "principal point" (off the
             middle), those that the file cannot hold. Where the principal point goes,
             the camera is turned to make up for it as far as that can be.
+        lens_terms: Those that the file can hold.
 
     Returns:
         The camera as it can be written, and no sentence or one.
@@ -122,18 +128,25 @@ def without(
         K[0, 0] = K[1, 1] = np.sqrt(K[0, 0] * K[1, 1])
     R, t = camera.R_cam_world, camera.t_cam_world
     off = K[0, 2] - middle[0], K[1, 2] - middle[1]
-    if "principal point" in features and max(map(abs, off)) > smallest:
+    is_turned = "principal point" in features and max(map(abs, off)) > smallest
+    if is_turned:
         lost.append(
             f"its principal point, ({off[0]:.3g}, {off[1]:.3g}) px off the middle, for "
             "which the camera is turned a little"
         )
         K[:2, 2] = middle
+    lens = Lens(**{term: getattr(camera.lens, term) for term in lens_terms})
+    if lens != camera.lens:
+        lost.append(
+            f"its lens distortion ({camera.lens.in_words()}), so give that program "
+            "undistorted photos (photoreg undistort)"
+        )
     if not lost:
         return camera, []
-    if "turned" in lost[-1]:
+    if is_turned:
         turn = compensating_turn(camera, K)
         R, t = turn @ R, turn @ t
-    reduced = Camera(K, R, t, camera.width, camera.height)
+    reduced = Camera(K, R, t, camera.width, camera.height, lens)
     moved = largest_shift_px(camera, reduced)
     return reduced, [
         f"{name} loses {'; and '.join(lost)}: {program} has no place for it. Points "
@@ -167,7 +180,7 @@ def largest_shift_px(camera: Camera, other: Camera) -> float:
     pixels = _grid_px(camera)
     center, directions = camera.rays(pixels)
     moved = other.project(center + directions * max(1.0, np.abs(center).max()))
-    return float(np.linalg.norm(moved - pixels, axis=1).max())
+    return float(np.nanmax(np.linalg.norm(moved - pixels, axis=1)))
 
 
 def _grid_px(camera: Camera) -> Float[np.ndarray, "n 2"]:

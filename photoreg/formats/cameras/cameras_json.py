@@ -3,7 +3,9 @@
 {"format": "photoreg-cameras", "version": 1, "cameras": [{"photo": "a.jpg",
 "width": W, "height": H, "K": [[fx, s, cx], [0, fy, cy], [0, 0, 1]], "R": [...],
 "t": [...]}]}: OpenCV axes, x_cam = R X + t, pixel (0, 0) is the centre of the first
-pixel, sizes as displayed. Unknown keys survive a round trip.
+pixel, sizes as displayed. Unknown keys survive a round trip. Where a lens is not ideal
+the version is 2, which a photoreg that knows no lenses refuses, and the camera has
+"distortion": {"k1": ..., "k2": ..., "p1": ..., "p2": ..., "k3": ...}, OpenCV's terms.
 """
 
 import dataclasses
@@ -12,16 +14,46 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
+
 from photoreg.errors import InputError
 from photoreg.formats.cameras.camera_set import photo_name
+from photoreg.formats.cameras.lens_terms import refuse_lens_terms
 from photoreg.formats.parsing import read_json
 from photoreg.formats.writing import check_suffix, write_files
 from photoreg.geometry.camera import Camera
+from photoreg.geometry.lens import IDEAL, TERMS, Lens
 from photoreg.imaging.photo import Photo
 
 FORMAT = "photoreg-cameras"
-VERSION = 1
+VERSION = 2
+"""The newest version, of files with a lens; without one they are of version 1."""
+KEY_OF_LENS = "distortion"
 _KEYS = ("photo", "width", "height", "K", "R", "t")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class WorldMove:
+    """How a program moved cameras from the world where it found them: turned, then enlarged."""
+
+    turn: Float[np.ndarray, "3 3"]
+    """Rotation from the world before."""
+    shift: Float[np.ndarray, "3"]
+    """What is added after it, in units of the world before."""
+    scale: float
+    """Of the new world's units."""
+    note: str
+    """The sentence, among the file's notes, that tells of it."""
+
+    def undone(self, camera: Camera) -> Camera:
+        """A camera as it was before."""
+        R = camera.R_cam_world
+        return dataclasses.replace(
+            camera,
+            R_cam_world=R @ self.turn,
+            t_cam_world=camera.t_cam_world / self.scale + R @ self.shift,
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,6 +70,8 @@ class CameraFile:
     """Unknown keys of each camera, by photo name, kept."""
     notes: tuple[str, ...] = ()
     """A sentence for each thing that reading them had to assume."""
+    moved: "WorldMove | None" = None
+    """What the cameras had been through before they were written, where a file tells."""
 
     def of_photo(self, name: str) -> Camera | None:
         """The camera of a photo, by file name; without regard to case if need be."""
@@ -88,10 +122,11 @@ def load_cameras(path: Path | str) -> CameraFile:
             f'{path.name} is not a photoreg camera file: it should hold "format": '
             f'"{FORMAT}".'
         )
-    if document.get("version") != VERSION:
+    version = document.get("version")
+    if version not in (1, VERSION):
         raise InputError(
-            f"{path.name} is version {document.get('version')} of the camera file; this "
-            f"photoreg reads version {VERSION}. Update photoreg."
+            f"{path.name} is version {version} of the camera file; this photoreg reads "
+            f"versions 1 and {VERSION}. Update photoreg."
         )
     entries = document.get("cameras")
     if not isinstance(entries, list):
@@ -99,18 +134,24 @@ def load_cameras(path: Path | str) -> CameraFile:
     cameras: dict[str, Camera] = {}
     camera_extra: dict[str, dict[str, Any]] = {}
     for number, entry in enumerate(entries, start=1):
-        name, camera = _parse_camera(entry, f"{path.name}, camera {number}")
+        where = f"{path.name}, camera {number}"
+        name, camera = _parse_camera(entry, where, version)
+        everywhere = {k: v for k, v in document.items() if k != "cameras"}
+        own = {k: v for k, v in entry.items() if k != KEY_OF_LENS or version == 1}
+        refuse_lens_terms({**everywhere, **own}, where)
         if name in cameras:
             raise InputError(f"{path.name} has two cameras for {name}.")
         cameras[name] = camera
-        camera_extra[name] = {k: v for k, v in entry.items() if k not in _KEYS}
+        camera_extra[name] = {
+            k: v for k, v in entry.items() if k not in (*_KEYS, KEY_OF_LENS)
+        }
     extra = {
         k: v for k, v in document.items() if k not in ("format", "version", "cameras")
     }
     return CameraFile(cameras, extra, camera_extra)
 
 
-def _parse_camera(entry: object, where: str) -> tuple[str, Camera]:
+def _parse_camera(entry: object, where: str, version: int) -> tuple[str, Camera]:
     if not isinstance(entry, dict):
         raise InputError(f"{where} should be an object with {', '.join(_KEYS)}.")
     missing = [key for key in _KEYS if key not in entry]
@@ -128,9 +169,23 @@ def _parse_camera(entry: object, where: str) -> tuple[str, Camera]:
         )
     name = photo_name(name)
     try:
-        return name, Camera(entry["K"], entry["R"], entry["t"], *size)
+        lens = IDEAL if version == 1 else _parse_lens(entry.get(KEY_OF_LENS, {}))
+        return name, Camera(entry["K"], entry["R"], entry["t"], *size, lens)
     except InputError as error:
         raise InputError(f"{where} ({name}): {error}") from error
+
+
+def _parse_lens(terms: object) -> Lens:
+    if not isinstance(terms, dict) or not set(terms) <= set(TERMS):
+        raise InputError(
+            f'"{KEY_OF_LENS}" should be an object with {", ".join(TERMS)}, but is {terms!r:.80}.'
+        )
+    for term, value in terms.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(
+                f"The lens term {term} should be a number, but is {value!r:.40}."
+            )
+    return Lens(**terms)
 
 
 def dump_cameras(file: CameraFile) -> str:
@@ -143,17 +198,28 @@ def dump_cameras(file: CameraFile) -> str:
             "K": camera.K.tolist(),
             "R": camera.R_cam_world.tolist(),
             "t": camera.t_cam_world.tolist(),
+            **_lens_entry(camera.lens),
             **file.camera_extra.get(name, {}),
         }
         for name, camera in file.cameras.items()
     ]
     document = {
         "format": FORMAT,
-        "version": VERSION,
+        "version": 1
+        if all(c.lens.is_ideal for c in file.cameras.values())
+        else VERSION,
         **file.extra,
         "cameras": entries,
     }
     return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
+
+
+def _lens_entry(lens: Lens) -> dict[str, dict[str, float]]:
+    return (
+        {}
+        if lens.is_ideal
+        else {KEY_OF_LENS: dict(zip(TERMS, lens.terms, strict=True))}
+    )
 
 
 def save_cameras(path: Path | str, file: CameraFile, overwrite: bool = False) -> None:

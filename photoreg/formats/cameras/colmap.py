@@ -2,7 +2,8 @@
 
 Poses are world to camera, a quaternion w x y z and t, in OpenCV's axes. COLMAP puts
 the centre of the first pixel at (0.5, 0.5), so 0.5 is added to the principal point.
-PINHOLE is written; every model whose distortion is zero is read.
+PINHOLE is written, and OPENCV or FULL_OPENCV where there is a lens; SIMPLE_PINHOLE,
+SIMPLE_RADIAL, RADIAL and they are read.
 
 References:
     https://colmap.github.io/format.html
@@ -28,20 +29,23 @@ from photoreg.formats.cameras.camera_set import (
     intrinsics,
     without,
 )
+from photoreg.formats.cameras.lens_models import opencv_lens
+from photoreg.formats.cameras.lens_terms import refuse_distortion
 from photoreg.formats.mark import COMMENT
 from photoreg.formats.parsing import (
     camera_of,
+    lens_of,
     numbers,
     read_text,
-    refuse_distortion,
     size_px,
     whole,
 )
 from photoreg.formats.writing import make_folder, write_files
 from photoreg.geometry.camera import Camera
+from photoreg.geometry.lens import IDEAL, Lens
 from photoreg.sources import open_for_reading
 
-PINHOLE_ID = 1
+PINHOLE_ID, OPENCV_ID, FULL_OPENCV_ID = 1, 4, 6
 MODELS = {
     0: ("SIMPLE_PINHOLE", 3),
     PINHOLE_ID: ("PINHOLE", 4),
@@ -116,9 +120,10 @@ def save_colmap_text(
                 f"{name} loses all after its first space when COLMAP reads the text; "
                 "write the binary model instead."
             )
-        lens = " ".join(map(repr, _pinhole(camera)))
+        model, parameters = _model(camera)
+        lens = " ".join(map(repr, parameters))
         pose = " ".join(map(repr, [*_quaternion(camera), *camera.t_cam_world.tolist()]))
-        lenses.append(f"{i} PINHOLE {camera.width} {camera.height} {lens}\n")
+        lenses.append(f"{i} {MODELS[model][0]} {camera.width} {camera.height} {lens}\n")
         images.append(f"{i} {pose} {i} {name}\n\n")
     make_folder(folder)
     files = write_files(
@@ -149,8 +154,9 @@ def save_colmap_binary(
     for i, (name, camera) in enumerate(cameras.cameras.items(), start=1):
         camera, lost = without(name, camera, "COLMAP", "skew")
         losses += lost
-        lenses.append(struct.pack("<IiQQ", i, PINHOLE_ID, camera.width, camera.height))
-        lenses.append(struct.pack("<4d", *_pinhole(camera)))
+        model, parameters = _model(camera)
+        lenses.append(struct.pack("<IiQQ", i, model, camera.width, camera.height))
+        lenses.append(struct.pack(f"<{len(parameters)}d", *parameters))
         pose = [*_quaternion(camera), *camera.t_cam_world.tolist()]
         images.append(struct.pack("<I7dI", i, *pose, i))
         images.append(name.encode() + b"\0" + struct.pack("<Q", 0))
@@ -172,7 +178,7 @@ def load_colmap_text(folder: Path) -> dict[str, Camera]:
 
     Raises:
         InputError: if one is missing or not as it should be, or a camera that an
-            image uses has lens distortion.
+            image uses has a lens that photoreg does not know.
     """
     folder = model_folder(folder, ".txt") or folder
     lenses = {}
@@ -193,7 +199,7 @@ def load_colmap_binary(folder: Path) -> dict[str, Camera]:
 
     Raises:
         InputError: if one is missing, truncated or not as it should be, or a camera
-            that an image uses has lens distortion.
+            that an image uses has a lens that photoreg does not know.
     """
     folder = model_folder(folder, ".bin") or folder
     lenses = {}
@@ -256,11 +262,12 @@ def _cameras(
                 f"{norm:.3g} long."
             )
         R = Rotation.from_quat(image.quaternion, scalar_first=True).as_matrix()
-        K = _pinhole_matrix(lens, where)
-        yield image.name, camera_of(where, K, R, image.t, lens.width, lens.height)
+        K, distortion = _intrinsics(lens, where)
+        size = lens.width, lens.height
+        yield image.name, camera_of(where, K, R, image.t, *size, distortion)
 
 
-def _pinhole_matrix(lens: _Lens, where: str) -> np.ndarray:
+def _intrinsics(lens: _Lens, where: str) -> tuple[np.ndarray, Lens]:
     expected = dict(MODELS.values()).get(lens.model)
     if expected is not None and len(lens.parameters) != expected:
         raise InputError(
@@ -274,17 +281,30 @@ def _pinhole_matrix(lens: _Lens, where: str) -> np.ndarray:
         (fx, fy, cx, cy), rest = lens.parameters[:4], lens.parameters[4:]
     else:
         (fx, fy, cx, cy), rest = (1.0, 1.0, 0.0, 0.0), (1.0,)
-    refuse_distortion(rest, f"{where}: its camera, of COLMAP's model {lens.model},")
-    return intrinsics(fx, fy, cx - 0.5, cy - 0.5)
+    where = f"{where}: its camera, of COLMAP's model {lens.model},"
+    K = intrinsics(fx, fy, cx - 0.5, cy - 0.5)
+    if lens.model in ONE_FOCAL:
+        return K, lens_of(where, *rest)  # Nothing, k, or k1 and k2.
+    if lens.model in TWO_FOCALS:
+        return K, opencv_lens(rest, K, (lens.width, lens.height), where)
+    refuse_distortion(rest, where)
+    return K, IDEAL
 
 
-def _pinhole(camera: Camera) -> list[float]:
-    K = camera.K
-    return [float(v) for v in (K[0, 0], K[1, 1], K[0, 2] + 0.5, K[1, 2] + 0.5)]
+def _model(camera: Camera) -> tuple[int, list[float]]:
+    """COLMAP's model that holds the camera, and its parameters."""
+    K, (k1, k2, p1, p2, k3) = camera.K, camera.lens.terms
+    pinhole = [float(v) for v in (K[0, 0], K[1, 1], K[0, 2] + 0.5, K[1, 2] + 0.5)]
+    if camera.lens.is_ideal:
+        return PINHOLE_ID, pinhole
+    if k3 == 0.0:
+        return OPENCV_ID, [*pinhole, k1, k2, p1, p2]
+    return FULL_OPENCV_ID, [*pinhole, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]
 
 
 def _quaternion(camera: Camera) -> list[float]:
-    rotation = Rotation.from_matrix(camera.R_cam_world)
+    # A copy: scipy 1.14 takes no read-only array.
+    rotation = Rotation.from_matrix(camera.R_cam_world.copy())
     return rotation.as_quat(canonical=True, scalar_first=True).tolist()
 
 

@@ -4,11 +4,9 @@ from pathlib import Path
 
 from photoreg.errors import InputError
 from photoreg.formats.cameras.cameras_json import FORMAT
+from photoreg.formats.cameras.registry import SINGLE_FILE_SUFFIXES
 from photoreg.formats.parsing import read_json
 from photoreg.sources import open_for_reading
-
-CAMERA_SUFFIXES = (".json", ".mlp", ".yml", ".yaml", ".out", ".cam", ".txt", ".bin")
-"""Suffixes of all files that a set of cameras may consist of."""
 
 
 def find_cameras(folder: Path) -> Path:
@@ -18,11 +16,7 @@ def find_cameras(folder: Path) -> Path:
         InputError: if there is none, or more than one.
     """
     files = sorted(path for path in folder.rglob("*") if path.is_file())
-    named = [
-        p
-        for p in files
-        if p.suffix.lower() in (".json", ".mlp", ".yml", ".yaml", ".out")
-    ]
+    named = [path for path in files if path.suffix.lower() in SINGLE_FILE_SUFFIXES]
     found = [path for path in named if _is_of_cameras(path)]
     found += [place for place in sorted({p.parent for p in files}) if _is_model(place)]
     if not found and len(named) == 1:
@@ -59,7 +53,7 @@ def _is_of_cameras(path: Path) -> bool:
         return isinstance(document, dict) and (
             "frames" in document or document.get("format") == FORMAT
         )
-    beginnings = {".mlp": b"<", ".out": b"# Bundle file"}
+    beginnings = {".mlp": b"<", ".xml": b"<", ".out": b"# Bundle file"}
     with open_for_reading(path) as file:
         start = file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n")
     return start.startswith(beginnings.get(path.suffix.lower(), b"%YAML"))

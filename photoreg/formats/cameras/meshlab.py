@@ -32,13 +32,13 @@ from photoreg.formats.cameras.camera_set import (
     photo_name,
     without,
 )
+from photoreg.formats.cameras.lens_terms import refuse_distortion
 from photoreg.formats.cameras.orientation import cameras_as_stored
 from photoreg.formats.mark import COMMENT, marked_picture
 from photoreg.formats.parsing import (
     camera_of,
     numbers,
     read_text,
-    refuse_distortion,
     size_px,
 )
 from photoreg.formats.photos.files import displayed_size, is_turned, path_from
@@ -78,7 +78,7 @@ def save_meshlab(path: Path, cameras: CameraSet, overwrite: bool = False) -> Sav
     contents: dict[Path, Content] = {path: ""}
     losses = []
     for name, camera in cameras.cameras.items():
-        camera, lost = without(name, camera, "MeshLab", "skew")
+        camera, lost = without(name, camera, "MeshLab", "skew", lens_terms=())
         losses += lost
         padded, corner = centred(camera)
         if padded.width * padded.height > Limits.of_environment().photo_pixels:

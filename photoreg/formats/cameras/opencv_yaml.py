@@ -1,6 +1,7 @@
 """OpenCV's FileStorage, YAML: K, R, t and P of each photo, nothing lost.
 
-A list "cameras" of {photo, width, height, K, R, t, P}. The axes and the pixel (0, 0)
+A list "cameras" of {photo, width, height, K, R, t, P} and, where there is a lens,
+"distortion" (k1 k2 p1 p2 k3). The axes and the pixel (0, 0)
 are those of `cv2.projectPoints`, which are photoreg's own.
 """
 
@@ -15,17 +16,19 @@ import yaml
 
 from photoreg.errors import InputError
 from photoreg.formats.cameras.camera_set import CameraSet, Saved, cameras_by_name
+from photoreg.formats.cameras.lens_models import opencv_lens
+from photoreg.formats.cameras.lens_terms import refuse_lens_terms
 from photoreg.formats.mark import COMMENT
 from photoreg.formats.parsing import (
     camera_of,
     numbers,
     read_text,
-    refuse_distortion,
     size_px,
     whole,
 )
 from photoreg.formats.writing import write_files
 from photoreg.geometry.camera import Camera
+from photoreg.geometry.lens import IDEAL
 from photoreg.limits import Limits
 
 LOADER = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
@@ -50,6 +53,8 @@ def save_opencv(path: Path, cameras: CameraSet, overwrite: bool = False) -> Save
         storage.write("R", camera.R_cam_world.copy())
         storage.write("t", camera.t_cam_world.reshape(3, 1).copy())
         storage.write("P", camera.P)
+        if not camera.lens.is_ideal:
+            storage.write("distortion", np.array([camera.lens.terms]))
         storage.endWriteStruct()
     storage.endWriteStruct()
     contents = {path: storage.releaseAndGetString()}
@@ -59,7 +64,7 @@ def save_opencv(path: Path, cameras: CameraSet, overwrite: bool = False) -> Save
 def load_opencv(path: Path) -> dict[str, Camera]:
     """Reads what `save_opencv` wrote, or a program that keeps to its keys.
 
-    "distortion", where there is one, must be zero; R may also be a rotation vector.
+    "distortion" is OpenCV's vector, where there is one; R may also be a rotation vector.
     OpenCV's own reader is not used: on damaged files it hangs, or writes past its
     memory (5.0).
 
@@ -71,7 +76,7 @@ def load_opencv(path: Path) -> dict[str, Camera]:
     cameras = document.get("cameras") if isinstance(document, dict) else None
     if not isinstance(cameras, list):
         raise InputError(f'{path.name} should hold a list "cameras".')
-    return cameras_by_name(_cameras(path, cameras), path.name)
+    return cameras_by_name(_cameras(path, document, cameras), path.name)
 
 
 def _parsed(name: str, text: str) -> Any:
@@ -97,7 +102,9 @@ def _parsed(name: str, text: str) -> Any:
     raise InputError(f"{name} is not a YAML file: {reason}.")
 
 
-def _cameras(path: Path, cameras: list[Any]) -> Iterator[tuple[str, Camera]]:
+def _cameras(
+    path: Path, document: dict[str, Any], cameras: list[Any]
+) -> Iterator[tuple[str, Camera]]:
     for number, entry in enumerate(cameras, start=1):
         where = f"{path.name}, camera {number}"
         if not isinstance(entry, dict):
@@ -109,13 +116,17 @@ def _cameras(path: Path, cameras: list[Any]) -> Iterator[tuple[str, Camera]]:
         if "width" not in entry or "height" not in entry:
             raise InputError(f"{where} lacks the photo's width and height.")
         K, R, t = (_matrix(entry.get(key), key, where) for key in ("K", "R", "t"))
-        if "distortion" in entry:
-            distortion = _matrix(entry["distortion"], "distortion", where)
-            refuse_distortion(distortion.ravel(), where)
+        others = {k: v for k, v in entry.items() if k != "distortion"}
+        refuse_lens_terms({**document, **others}, where)
         if R.size == 3:
             R = cv2.Rodrigues(R.reshape(3, 1))[0]
         size = size_px(entry["width"], entry["height"], where)
-        yield name, camera_of(where, K, R, t.ravel(), *size)
+        lens = IDEAL
+        if "distortion" in entry:
+            distortion = _matrix(entry["distortion"], "distortion", where).ravel()
+            camera_of(where, K, R, t.ravel(), *size)  # K must be one.
+            lens = opencv_lens(distortion.tolist(), K, size, where)
+        yield name, camera_of(where, K, R, t.ravel(), *size, lens)
 
 
 def _matrix(value: Any, key: str, where: str) -> np.ndarray:

@@ -5,6 +5,7 @@ orientation and number the pixels as the file stores them, so their cameras are 
 about the axis of view on the way in and out.
 """
 
+import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -105,11 +106,20 @@ def _turned(name: str, camera: Camera, orientation: int) -> Camera:
     if orientation >= 5:
         width, height = height, width
     K = H @ camera.K @ roll.T
+    # The tangential terms turn as a vector (p2, p1) does; the radial ones stay.
+    p2, p1 = A @ (camera.lens.p2, camera.lens.p1)
+    lens = dataclasses.replace(camera.lens, p1=float(p1), p2=float(p2))
     if abs(K[1, 0]) > 1e-12 * abs(K[1, 1]):  # Skew, which turns into another.
+        if not lens.is_ideal:
+            raise InputError(
+                f"{name} is turned by its EXIF orientation, and its camera has both skew "
+                "and lens distortion, which cannot be turned together. Undistort it, or "
+                "save an upright copy of the photo."
+            )
         return Camera.from_projection_matrix(H @ camera.P, width, height)
     K[1, 0] = 0.0
     R, t = roll @ camera.R_cam_world, roll @ camera.t_cam_world
-    return Camera(K, R, t, width, height)
+    return Camera(K, R, t, width, height, lens)
 
 
 def _pixel_map(

@@ -9,7 +9,12 @@ from photoreg.errors import InputError, OutputError
 from photoreg.formats.cameras.blender import save_blender
 from photoreg.formats.cameras.bundler import load_bundler, save_bundler
 from photoreg.formats.cameras.camera_set import CameraSet, Saved
-from photoreg.formats.cameras.cameras_json import CameraFile, load_cameras, save_cameras
+from photoreg.formats.cameras.cameras_json import (
+    CameraFile,
+    WorldMove,
+    load_cameras,
+    save_cameras,
+)
 from photoreg.formats.cameras.colmap import (
     load_colmap_binary,
     load_colmap_text,
@@ -18,7 +23,14 @@ from photoreg.formats.cameras.colmap import (
     save_colmap_text,
 )
 from photoreg.formats.cameras.meshlab import load_meshlab, save_meshlab
-from photoreg.formats.cameras.nerfstudio import load_nerfstudio, save_nerfstudio
+from photoreg.formats.cameras.metashape import load_metashape
+from photoreg.formats.cameras.metashape import notes_of as metashape_notes
+from photoreg.formats.cameras.nerfstudio import (
+    load_nerfstudio,
+    notes_of,
+    save_nerfstudio,
+    world_move,
+)
 from photoreg.formats.cameras.opencv_yaml import load_opencv, save_opencv
 from photoreg.formats.cameras.orientation import cameras_as_displayed, cameras_as_stored
 from photoreg.formats.cameras.texrecon import load_texrecon, save_texrecon
@@ -37,10 +49,11 @@ FormatName = Literal[
     "opencv",
     "bundler",
     "blender",
+    "metashape",
 ]
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class CameraFormat:
     """A format of camera files."""
 
@@ -53,16 +66,28 @@ class CameraFormat:
     keeps: str
     """What it holds, in one sentence."""
     loses: str
-    """What it cannot hold, in one sentence."""
-    save: Callable[[Path, CameraSet, bool], Saved]
-    """Writes cameras to a path, over files that are not photoreg's or not."""
+    """What it cannot hold, in one sentence; empty where it holds all."""
+    save: Callable[[Path, CameraSet, bool], Saved] | None
+    """Writes cameras to a path, over files that are not photoreg's or not; None: it is
+    read only."""
     load: Callable[[Path, dict[str, Path]], Mapping[str, Camera]] | None
     """Reads cameras from a path, given photos by name, to which it adds those that it
     finds beside the file; None: it is written only."""
+    suffixes: tuple[str, ...] = ()
+    """Of its files, in small letters; of a folder, those of the files in it."""
     is_beside_photos: bool = True
     """Whether its programs look for the photos where the cameras are."""
     is_of_stored_pixels: bool = True
     """Whether its programs pass over EXIF's orientation of photos."""
+    notes_of: Callable[[Path], list[str]] = lambda _: []
+    """A sentence for each thing that a file says and that is not heeded."""
+    move_of: Callable[[Path], WorldMove | None] = lambda _: None
+    """How the cameras of a file were moved from the world where they were found."""
+
+    @property
+    def in_words(self) -> str:
+        """What it keeps and loses."""
+        return f"{self.keeps} {self.loses}".rstrip()
 
     @property
     def is_folder(self) -> bool:
@@ -76,108 +101,144 @@ def _save_photoreg(path: Path, cameras: CameraSet, overwrite: bool = False) -> S
 
 
 _POSE = "It keeps poses, both focal lengths and the principal point."
+_LENS = "It keeps poses, both focal lengths, the principal point and the lens."
+
 
 CAMERA_FORMATS: dict[str, CameraFormat] = {
     camera_format.name: camera_format
     for camera_format in (
         CameraFormat(
-            "photoreg",
-            "photoreg (JSON)",
-            ".json",
-            "It keeps everything.",
-            "It loses nothing.",
-            _save_photoreg,
-            lambda path, _: load_cameras(path).cameras,
+            name="photoreg",
+            label="photoreg (JSON)",
+            place=".json",
+            keeps="Keeps everything.",
+            loses="",
+            save=_save_photoreg,
+            load=lambda path, _: load_cameras(path).cameras,
             is_beside_photos=False,
             is_of_stored_pixels=False,
+            suffixes=(".json",),
         ),
         CameraFormat(
-            "colmap",
-            "COLMAP (binary)",
-            "folder",
-            _POSE,
-            "It loses skew.",
-            save_colmap_binary,
-            lambda path, _: load_colmap_binary(path),
+            name="colmap",
+            label="COLMAP (binary)",
+            place="folder",
+            keeps=_LENS,
+            loses="It loses skew.",
+            save=save_colmap_binary,
+            load=lambda path, _: load_colmap_binary(path),
+            suffixes=(".bin",),
         ),
         CameraFormat(
-            "colmap-text",
-            "COLMAP (text)",
-            "folder",
-            _POSE,
-            "It loses skew, and photo names after their first space.",
-            save_colmap_text,
-            lambda path, _: load_colmap_text(path),
+            name="colmap-text",
+            label="COLMAP (text)",
+            place="folder",
+            keeps=_LENS,
+            loses="It loses skew, and photo names after their first space.",
+            save=save_colmap_text,
+            load=lambda path, _: load_colmap_text(path),
+            suffixes=(".txt",),
         ),
         CameraFormat(
-            "nerfstudio",
-            "nerfstudio (transforms.json)",
-            "transforms.json",
-            _POSE,
-            "It loses skew.",
-            save_nerfstudio,
-            load_nerfstudio,
+            name="nerfstudio",
+            label="nerfstudio (transforms.json)",
+            place="transforms.json",
+            keeps=_LENS,
+            loses="It loses skew.",
+            save=save_nerfstudio,
+            load=load_nerfstudio,
+            notes_of=notes_of,
+            move_of=world_move,
+            suffixes=(".json",),
         ),
         CameraFormat(
-            "meshlab",
-            "MeshLab (.mlp)",
-            ".mlp",
-            "It keeps poses, both focal lengths and, by padded copies of the photos, "
+            name="meshlab",
+            label="MeshLab (.mlp)",
+            place=".mlp",
+            keeps="It keeps poses, both focal lengths and, by padded copies of the photos, "
             "the principal point to the pixel.",
-            "It loses skew, and turns the camera by the rest of a pixel.",
-            save_meshlab,
-            load_meshlab,
+            loses="It loses skew and the lens, and turns the camera to make up for the rest of a pixel.",
+            save=save_meshlab,
+            load=load_meshlab,
+            suffixes=(".mlp",),
         ),
         CameraFormat(
-            "texrecon",
-            "texrecon (.cam)",
-            "folder",
-            _POSE,
-            "It loses skew; sizes and full names are the photos'.",
-            save_texrecon,
-            load_texrecon,
+            name="texrecon",
+            label="texrecon (.cam)",
+            place="folder",
+            keeps=_POSE,
+            loses="It loses skew and the lens; sizes and full names come from the photos.",
+            save=save_texrecon,
+            load=load_texrecon,
+            suffixes=(".cam",),
         ),
         CameraFormat(
-            "opencv",
-            "OpenCV (YAML)",
-            ".yml",
-            "It keeps everything.",
-            "It loses nothing.",
-            save_opencv,
-            lambda path, _: load_opencv(path),
+            name="opencv",
+            label="OpenCV (YAML)",
+            place=".yml",
+            keeps="Keeps everything.",
+            loses="",
+            save=save_opencv,
+            load=lambda path, _: load_opencv(path),
             is_beside_photos=False,
             is_of_stored_pixels=False,
+            suffixes=(".yml", ".yaml"),
         ),
         CameraFormat(
-            "bundler",
-            "Bundler (.out)",
-            ".out",
-            "It keeps the camera's place and one focal length.",
-            "It loses skew, the second focal length and the principal point, for which "
-            "cameras are turned; sizes are the photos'.",
-            save_bundler,
-            load_bundler,
+            name="bundler",
+            label="Bundler (.out)",
+            place=".out",
+            keeps="It keeps the camera's place, one focal length and k1 and k2 of the lens.",
+            loses="It loses skew, the second focal length, the lens's other terms and the "
+            "principal point, for which cameras are turned; sizes come from the photos.",
+            save=save_bundler,
+            load=load_bundler,
+            suffixes=(".out",),
         ),
         CameraFormat(
-            "blender",
-            "Blender (script)",
-            ".py",
-            _POSE,
-            "It loses skew, and cannot be read back.",
-            save_blender,
-            None,
+            name="blender",
+            label="Blender (script)",
+            place=".py",
+            keeps=_POSE,
+            loses="It loses skew and the lens, and cannot be read back.",
+            save=save_blender,
+            load=None,
+            suffixes=(".py",),
+        ),
+        CameraFormat(
+            name="metashape",
+            label="Metashape (XML)",
+            place=".xml",
+            keeps="Keeps everything.",
+            loses="It is read only.",
+            save=None,
+            load=load_metashape,
+            notes_of=metashape_notes,
+            suffixes=(".xml",),
         ),
     )
 }
-_BY_SUFFIX: dict[str, FormatName] = {
-    ".json": "photoreg",
-    ".mlp": "meshlab",
-    ".yml": "opencv",
-    ".yaml": "opencv",
-    ".out": "bundler",
-    ".py": "blender",
-    ".cam": "texrecon",
+WRITTEN_FORMATS = {
+    name: known for name, known in CAMERA_FORMATS.items() if known.save is not None
 }
+"""Those of the formats that can be written."""
+_COLMAP_SUFFIXES = (".txt", ".bin")
+_READ = [known for known in CAMERA_FORMATS.values() if known.load is not None]
+CAMERA_SUFFIXES = tuple(
+    dict.fromkeys(
+        suffix
+        for known in sorted(_READ, key=lambda known: known.is_folder)
+        for suffix in known.suffixes
+    )
+)
+"""Suffixes of all files that a set of cameras may consist of: first of those that are one
+by themselves."""
+SINGLE_FILE_SUFFIXES = tuple(
+    suffix
+    for suffix in CAMERA_SUFFIXES
+    if any(suffix in known.suffixes for known in _READ if not known.is_folder)
+)
+"""Suffixes of the files that are a set of cameras by themselves."""
 
 
 def camera_format(name: str) -> CameraFormat:
@@ -203,19 +264,20 @@ def format_to_read(path: Path) -> CameraFormat:
         raise InputError(f"The cameras {path} do not exist. Check the path.")
     if path.is_dir():
         return CAMERA_FORMATS[_name_of_folder(path)]
-    name = _BY_SUFFIX.get(path.suffix.lower())
-    if name == "photoreg" and _is_nerfstudio(path):
-        name = "nerfstudio"
-    if path.suffix.lower() in (".txt", ".bin"):
+    suffix = path.suffix.lower()
+    if suffix in _COLMAP_SUFFIXES:
         raise InputError(
             f"{path.name} is a part of a COLMAP model; give its folder {path.parent}."
         )
-    if name is None or CAMERA_FORMATS[name].load is None:
+    known = [each for each in _READ if suffix in each.suffixes]
+    if not known:
         raise InputError(
             f"{path.name} is not a camera file that photoreg reads: the suffix should be "
-            f"one of {', '.join(s for s in _BY_SUFFIX if s != '.py')}."
+            f"one of {', '.join(s for s in CAMERA_SUFFIXES if s not in _COLMAP_SUFFIXES)}."
         )
-    return CAMERA_FORMATS[name]
+    if suffix == ".json" and _is_nerfstudio(path):
+        return CAMERA_FORMATS["nerfstudio"]
+    return known[0]
 
 
 def _name_of_folder(folder: Path) -> FormatName:
@@ -252,13 +314,17 @@ def format_to_write(path: Path) -> CameraFormat:
             return CAMERA_FORMATS[_name_of_folder(path)]
         except InputError:
             pass
-    name = _BY_SUFFIX.get(path.suffix.lower())
-    if name is None or path.is_dir() or CAMERA_FORMATS[name].is_folder:
+    known = [
+        each
+        for each in WRITTEN_FORMATS.values()
+        if path.suffix.lower() in each.suffixes and not each.is_folder
+    ]
+    if not known or path.is_dir():
         raise OutputError(
             f"The path {path} does not tell its format; name it, one of "
-            f"{', '.join(CAMERA_FORMATS)}."
+            f"{', '.join(WRITTEN_FORMATS)}."
         )
-    return CAMERA_FORMATS[name]
+    return known[0]
 
 
 def read_cameras(
@@ -290,7 +356,11 @@ def read_cameras(
     if not chosen.is_of_stored_pixels:
         return CameraFile(cameras)
     cameras, notes = cameras_as_displayed(cameras, known, chosen.label)
-    return CameraFile(cameras, notes=tuple(notes))
+    return CameraFile(
+        cameras,
+        notes=(*chosen.notes_of(path), *notes),
+        moved=chosen.move_of(path),
+    )
 
 
 def write_cameras(
@@ -316,6 +386,8 @@ def write_cameras(
     """
     path = Path(path)
     chosen = format_to_write(path) if name is None else camera_format(name)
+    if chosen.save is None:
+        raise InputError(f"photoreg reads {chosen.name} files, but cannot write them.")
     cameras, losses = for_programs(chosen, cameras, cameras.photos)
     saved = chosen.save(path, cameras, overwrite)
     saved.losses.extend(losses)

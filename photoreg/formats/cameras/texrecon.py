@@ -21,12 +21,12 @@ from photoreg.formats.cameras.camera_set import (
     intrinsics,
     without,
 )
+from photoreg.formats.cameras.lens_terms import refuse_distortion
 from photoreg.formats.mark import COMMENT
 from photoreg.formats.parsing import (
     camera_of,
     numbers,
     read_text,
-    refuse_distortion,
 )
 from photoreg.formats.photos.files import photo_of_stem, stored_size
 from photoreg.formats.writing import Content, make_folder, write_files
@@ -43,7 +43,7 @@ def save_texrecon(folder: Path, cameras: CameraSet, overwrite: bool = False) -> 
     contents: dict[Path, Content] = {}
     losses = []
     for name, camera in cameras.cameras.items():
-        camera, lost = without(name, camera, "texrecon", "skew")
+        camera, lost = without(name, camera, "texrecon", "skew", lens_terms=())
         losses += lost
         path = folder / f"{Path(name).stem}.cam"
         if path in contents:

@@ -9,6 +9,9 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from PIL import Image
 
+from photoreg.errors import InputError
+from photoreg.formats.photos.decoding import stored_pixels
+from photoreg.formats.photos.registry import format_of
 from photoreg.limits import Limits
 
 GAP_PX = 4
@@ -58,7 +61,15 @@ def colours_of(values: np.ndarray) -> UInt8[np.ndarray, "n 3"] | None:
 def texture_picture(
     content: bytes | Path, name: str, limits: Limits
 ) -> tuple[Picture | None, str]:
-    """Decodes a texture; if that fails, None and the sentence that says why."""
+    """Decodes a texture; if that fails, None and the sentence that says why.
+
+    Files of the formats of photos are read as these are: any depth, any colours.
+    """
+    if isinstance(content, Path) and format_of(content) is not None:
+        try:
+            return stored_pixels(content, limits), ""
+        except InputError as error:
+            return None, f"{error} The mesh was read without this texture."
     try:
         file = io.BytesIO(content) if isinstance(content, bytes) else content
         with Image.open(file) as picture:

@@ -22,13 +22,13 @@ import trimesh
 from trimesh.resolvers import FilePathResolver
 
 from photoreg.errors import InputError
+from photoreg.formats.glb_container import BINARY_CHUNK, glb_file
 from photoreg.formats.meshes.beside import find_beside
 from photoreg.formats.meshes.contents import MeshContents, Picture
 from photoreg.formats.meshes.headers import check_counts
 from photoreg.limits import Limits
 from photoreg.sources import read_regular
 
-_JSON, _BIN = 0x4E4F534A, 0x004E4942
 _TYPES = {
     5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32,
     5126: np.float32,
@@ -70,7 +70,7 @@ def read_glb(path: Path, limits: Limits) -> MeshContents:
     scene: Any = trimesh.load_scene(
         io.BytesIO(plain.file()),
         file_type="glb",
-        resolver=_Beside(path),
+        resolver=_Beside(path, limits),
         process=False,
     )
     return _contents(path.name, scene, limits, notes)
@@ -79,13 +79,13 @@ def read_glb(path: Path, limits: Limits) -> MeshContents:
 class _Beside(FilePathResolver):
     """Buffers and pictures that a file names, from its folder only."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, limits: Limits) -> None:
         super().__init__(str(path))
-        self._path = path
+        self._path, self._limits = path, limits
 
     def get(self, name: str) -> bytes:
         """The content of a file beside the mesh."""
-        found, note = find_beside(self._path, name, "file")
+        found, note = find_beside(self._path, name, "file", self._limits)
         if found is None:
             raise InputError(note)
         return read_regular(found)
@@ -99,7 +99,7 @@ def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
     if len(content) < at + 8:
         return document, b""
     length, kind = struct.unpack_from("<II", content, at)
-    return document, content[at + 8 : at + 8 + length] if kind == _BIN else b""
+    return document, content[at + 8 : at + 8 + length] if kind == BINARY_CHUNK else b""
 
 
 def _check_features(name: str, document: dict[str, Any]) -> None:
@@ -173,19 +173,7 @@ class _Plain:
             self._document.setdefault("buffers", [{}])[0]["byteLength"] = len(
                 self._body
             )
-        text = json.dumps(self._document).encode()
-        text += b" " * (-len(text) % 4)
-        body = bytes(self._body) + b"\0" * (-len(self._body) % 4)
-        length = 12 + 8 + len(text) + 8 + len(body)
-        return b"".join(
-            [
-                struct.pack("<4sII", b"glTF", 2, length),
-                struct.pack("<II", len(text), _JSON),
-                text,
-                struct.pack("<II", len(body), _BIN),
-                body,
-            ]
-        )
+        return glb_file(self._document, bytes(self._body))
 
     def _primitive(self, primitive: dict[str, Any]) -> None:
         if "KHR_draco_mesh_compression" in primitive.get("extensions", {}):
@@ -346,7 +334,7 @@ class _Plain:
 
 def _contents(name: str, scene: Any, limits: Limits, notes: list[str]) -> MeshContents:
     """All parts of a scene behind one another, each where it is placed."""
-    places = [scene.graph[node] for node in sorted_nodes(scene)]
+    places = [scene.graph[node] for node in _sorted_nodes(scene)]
     parts = [(matrix, scene.geometry[geometry]) for matrix, geometry in places]
     parts = [(matrix, part) for matrix, part in parts if hasattr(part, "faces")]
     check_counts(
@@ -400,7 +388,7 @@ def _contents(name: str, scene: Any, limits: Limits, notes: list[str]) -> MeshCo
     )
 
 
-def sorted_nodes(scene: Any) -> list[str]:
+def _sorted_nodes(scene: Any) -> list[str]:
     """The nodes with geometry, in the order in which the file lists their meshes."""
     order = {name: i for i, name in enumerate(scene.geometry)}
     return sorted(

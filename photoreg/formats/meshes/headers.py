@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from photoreg.errors import InputError
+from photoreg.formats.glb_container import JSON_CHUNK
 from photoreg.limits import Limits
 from photoreg.sources import open_for_reading
 
@@ -181,7 +182,7 @@ def _glb(path: Path, limits: Limits) -> None:
                 f"{path.name} could not be read as a mesh: it should begin with glTF."
             )
         version, length, json_length, kind = struct.unpack("<IIII", head[4:])
-        if version != 2 or kind != 0x4E4F534A:
+        if version != 2 or kind != JSON_CHUNK:
             raise InputError(
                 f"{path.name} is not glTF 2.0 with its description first; export it "
                 "again as GLB, version 2."

@@ -25,6 +25,13 @@ _CURVED = (b"curv", b"curv2", b"surf", b"cstype", b"deg", b"bmat", b"step", b"co
 """Statements of surfaces that are not made of polygons."""
 
 
+_KNOWN = (
+    *(b"v", b"vt", b"vn", b"vp", b"f", b"l", b"p", b"o", b"g", b"s", b"mg"),
+    *(b"usemtl", b"mtllib", b"usemap", b"maplib", b"bevel", b"c_interp", b"d_interp"),
+    *(b"lod", b"shadow_obj", b"trace_obj", b"parm", b"end", *_CURVED),
+)
+"""Words that a line may begin with; others are told."""
+
 _COMMENT = re.compile(rb"(?m)^([ \t]*(?:v|vt|vn|f)[ \t][^#\r\n]*)#[^\r\n]*")
 """A comment behind numbers, which tinyobjloader does not expect."""
 
@@ -38,6 +45,8 @@ class _Lines:
     material_files: list[str] = dataclasses.field(default_factory=list)
     curved: str = ""
     n_lines_and_points: int = 0
+    unknown: dict[bytes, int] = dataclasses.field(default_factory=dict)
+    """Words that nothing is known of, and how many lines begin with each."""
 
 
 def read_obj(path: Path, limits: Limits) -> MeshContents:
@@ -60,8 +69,8 @@ def read_obj(path: Path, limits: Limits) -> MeshContents:
             f"{path.name} holds a curved surface ({lines.curved}), not only polygons. "
             "Export it as a polygon mesh."
         )
-    vertices, colours = _vertices(path.name, lines.vertices)
-    materials, notes = _material_text(path, lines.material_files)
+    vertices, colours, colour_notes = _vertices(path.name, lines.vertices)
+    materials, notes = _material_text(path, lines.material_files, limits)
     reader, config = tinyobjloader.ObjReader(), tinyobjloader.ObjReaderConfig()
     config.triangulate = False
     if not reader.ParseFromString(text.decode("utf-8", "replace"), materials, config):
@@ -105,6 +114,9 @@ def read_obj(path: Path, limits: Limits) -> MeshContents:
             f"{lines.n_lines_and_points:,} lines and points, which are no surface, were "
             "left out."
         )
+    notes += colour_notes
+    if lines.unknown:
+        notes.append(_unknown_note(lines.unknown))
     return MeshContents(
         vertices=vertices,
         faces=corners[cut],
@@ -134,13 +146,17 @@ def _lines(text: bytes) -> _Lines:
             found.n_lines_and_points += 1
         elif key in _CURVED:
             found.curved = found.curved or key.decode()
+        elif key not in _KNOWN and not key.startswith(b"#"):
+            found.unknown[key] = found.unknown.get(key, 0) + 1
     return found
 
 
-def _vertices(name: str, rows: list[bytes]) -> tuple[np.ndarray, np.ndarray | None]:
-    """Positions, and colours where every vertex has some."""
+def _vertices(
+    name: str, rows: list[bytes]
+) -> tuple[np.ndarray, np.ndarray | None, list[str]]:
+    """Positions, colours where every vertex has some, and what was left out."""
     if not rows:
-        return np.zeros((0, 3)), None
+        return np.zeros((0, 3)), None, []
     widths = {len(row.partition(b"#")[0].split()) for row in rows}
     try:
         if len(widths) == 1:
@@ -161,23 +177,37 @@ def _vertices(name: str, rows: list[bytes]) -> tuple[np.ndarray, np.ndarray | No
             f"{name} could not be read as a mesh: a vertex should have three numbers, "
             f"but one has {width}. Export it again."
         )
-    if width in (4, 7) and not (table[:, 3] == 1.0).all():
+    if width == 7 and not (table[:, 3] == 1.0).all():
+        # Not x y z w red green blue, but alpha behind the colours.
+        table, width = table[:, :6], 6
+    if width == 4 and not (table[:, 3] == 1.0).all():
         raise InputError(
             f"{name} has vertices with a fourth coordinate other than 1 (weights of a "
             "rational surface). Export it as a polygon mesh."
         )
+    if width not in (3, 4, 6, 7):
+        raise InputError(
+            f"{name} has vertices of {width} numbers; x, y and z are understood, with a "
+            "weight or a colour behind. Export it again."
+        )
     # x y z, or x y z w, and perhaps red, green, blue behind it.
     colours = colours_of(table[:, -3:]) if width >= 6 else None
-    return np.ascontiguousarray(table[:, :3]), colours
+    note = "Only some of its vertices have colours, which were left out."
+    notes = [note] if width < 6 <= max(widths) else []
+    return np.ascontiguousarray(table[:, :3]), colours, notes
 
 
-def _material_text(path: Path, names: list[str]) -> tuple[str, list[str]]:
+def _material_text(
+    path: Path, names: list[str], limits: Limits
+) -> tuple[str, list[str]]:
     """All MTL files of a mesh as one text, and what could not be read."""
     texts, notes = [], []
     for line in dict.fromkeys(names):
         # A name may have spaces, or several names may stand on a line.
-        found, note = find_beside(path, line, "material file")
-        several = [find_beside(path, word, "material file") for word in line.split()]
+        found, note = find_beside(path, line, "material file", limits)
+        several = [
+            find_beside(path, word, "material file", limits) for word in line.split()
+        ]
         if found is None and all(one for one, _ in several):
             files = [one for one, _ in several if one is not None]
         elif found is None:
@@ -232,7 +262,7 @@ def _pictures(
         name = material.diffuse_texname
         if name and (of_face == i).any() and name not in number:
             number[name] = -1
-            file, note = find_beside(path, name, "texture")
+            file, note = find_beside(path, name, "texture", limits)
             if file is not None:
                 picture, note = texture_picture(file, name, limits)
                 if picture is not None:
@@ -248,6 +278,15 @@ def _pictures(
             of_material[i] = len(pictures)
             pictures.append(np.full((8, 8, 3), plain[i], dtype=np.uint8))
     return pictures, np.array([*of_material, -1])[of_face], notes
+
+
+def _unknown_note(unknown: dict[bytes, int]) -> str:
+    n_lines = sum(unknown.values())
+    words = [word.decode("ascii", "backslashreplace")[:20] for word in unknown][:3]
+    return (
+        f"{n_lines:,} lines that begin with {', '.join(map(repr, words))}"
+        f"{' and others' if len(unknown) > 3 else ''} are not understood and were left out."
+    )
 
 
 def _one_line(text: str) -> str:

@@ -1,6 +1,7 @@
 """PLY, as text or binary, with textures beside it."""
 
 import io
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +17,24 @@ from photoreg.formats.meshes.contents import (
     texture_picture,
 )
 from photoreg.formats.meshes.headers import HEADER_BYTES
+from photoreg.formats.meshes.ply_text import as_binary
 from photoreg.formats.meshes.polygons import triangle_corners
 from photoreg.limits import Limits
 from photoreg.sources import open_for_reading
+from photoreg.words import listed
 
 _CORNERS = ("vertex_indices", "vertex_index")
 _WEDGE_UV, _WEDGE_PICTURE = "texcoord", "texnumber"
 _VERTEX_UV = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("s0", "t0"))
 _COLOUR = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
+_READ = {
+    "vertex": {
+        *("x", "y", "z", "nx", "ny", "nz", "alpha", "diffuse_alpha"),
+        *(name for names in (*_VERTEX_UV, *_COLOUR) for name in names),
+    },
+    "face": {*_CORNERS, _WEDGE_UV, _WEDGE_PICTURE},
+}
+"""Properties that are read, by element; alpha of the colours says nothing of them."""
 _OTHER_SURFACES = ("tristrips", "polyhedron", "quad", "range_grid")
 
 
@@ -85,8 +96,21 @@ def read_ply(path: Path, limits: Limits) -> MeshContents:
         face_picture=face_picture,
         vertex_colours=_colours(table),
         vertex_normals=_columns(table, ("nx", "ny", "nz")),
-        notes=tuple(notes),
+        notes=(*notes, *_left_out(ply)),
     )
+
+
+def _left_out(ply: plyfile.PlyData) -> list[str]:
+    """What of the file is not read: a sentence, if there is anything."""
+    words = []
+    for element in ply.elements:
+        known = _READ.get(element.name, ())
+        names = [p.name for p in element.properties if p.name not in known]
+        if element.name not in _READ and element.count:
+            words.append(f"the elements {element.name}")
+        elif element.name in _READ and names and element.count:
+            words.append(f"{', '.join(names)} of its {element.name} elements")
+    return [f"Left out of it were {listed(words)}."] if words else []
 
 
 def _parsed(path: Path) -> plyfile.PlyData:
@@ -109,9 +133,16 @@ def _parsed(path: Path) -> plyfile.PlyData:
             rest = file.read(HEADER_BYTES)
         else:
             file.seek(0)
-            # Empty lines part nothing.
-            text = b"".join(line for line in file if line.strip())
-            lines = io.StringIO(text.decode("latin-1"))
+            text = file.read()
+            binary = as_binary(text)
+            if binary is not None:
+                with tempfile.TemporaryFile() as mapped:
+                    mapped.write(binary[0])
+                    mapped.seek(0)
+                    return plyfile.PlyData.read(
+                        mapped, known_list_len=binary[1], mmap="c"
+                    )
+            lines = io.StringIO(_without_empty_lines(text).decode("latin-1"))
             ply = plyfile.PlyData.read(lines)
             rest = lines.read(HEADER_BYTES)
     if rest.strip():
@@ -121,6 +152,11 @@ def _parsed(path: Path) -> plyfile.PlyData:
             "Export it again."
         )
     return ply
+
+
+def _without_empty_lines(text: bytes) -> bytes:
+    """Empty lines part nothing."""
+    return b"".join(line for line in text.splitlines(keepends=True) if line.strip())
 
 
 def _columns(table: Any, names: tuple[str, ...]) -> np.ndarray | None:
@@ -147,8 +183,9 @@ def _corner_uv(
     if faces is not None and _WEDGE_UV in faces.dtype.names:
         rows = faces[_WEDGE_UV]
         if rows.dtype != object:
-            return rows.reshape(-1, 2).astype(np.float64), []
-        lengths = np.array([len(row) for row in rows], dtype=np.int64)
+            lengths = np.full(len(rows), rows.shape[1])
+        else:
+            lengths = np.array([len(row) for row in rows], dtype=np.int64)
         is_whole = lengths == 2 * counts
         if not (is_whole | (lengths == 0)).all():
             return None, [
@@ -156,6 +193,8 @@ def _corner_uv(
                 "faces (two numbers a corner), so it was read without them."
             ]
         uv = np.zeros((len(corners), 2))
+        if is_whole.all() and rows.dtype != object:
+            return rows.reshape(-1, 2).astype(np.float64), []
         if is_whole.any():
             flat = np.concatenate([rows[i] for i in np.flatnonzero(is_whole)])
             uv[np.repeat(is_whole, counts)] = flat.reshape(-1, 2)
@@ -176,7 +215,7 @@ def _pictures(
     for comment in ply.comments:
         words = comment.split(None, 1)
         if len(words) == 2 and words[0].lower() == "texturefile":
-            file, note = find_beside(path, words[1], "texture")
+            file, note = find_beside(path, words[1], "texture", limits)
             if file is not None:
                 picture, note = texture_picture(file, words[1], limits)
                 if picture is not None:

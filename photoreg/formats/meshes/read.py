@@ -1,5 +1,6 @@
 """A mesh from a file, in the format of its suffix."""
 
+import dataclasses
 import logging
 import warnings
 from collections.abc import Callable
@@ -9,14 +10,17 @@ import numpy as np
 
 from photoreg.checks import check_input_file
 from photoreg.errors import InputError
+from photoreg.formats.foreign import what_to_do
 from photoreg.formats.meshes.contents import MeshContents, joined_pictures
 from photoreg.formats.meshes.glb import read_glb
 from photoreg.formats.meshes.headers import check_announced, check_counts
 from photoreg.formats.meshes.obj import read_obj
 from photoreg.formats.meshes.off import read_off
+from photoreg.formats.meshes.packed import PACKED_SUFFIX, unpacked
 from photoreg.formats.meshes.ply import read_ply
 from photoreg.formats.meshes.stl import read_stl
 from photoreg.geometry.mesh import Mesh, unit_rows
+from photoreg.geometry.winding import consistently_wound
 from photoreg.limits import Limits
 from photoreg.sources import source_file
 
@@ -31,12 +35,18 @@ _READERS: dict[str, Callable[[Path, Limits], MeshContents]] = {
 MESH_SUFFIXES = tuple(_READERS)
 """Of the files that `load_mesh` reads."""
 
+COARSE_STEP = 0.02
+"""Of the size of faces: larger steps of single precision are told."""
+
 # What it tells in tracebacks, photoreg tells in sentences.
 logging.getLogger("trimesh").setLevel(logging.CRITICAL)
 
 
 def load_mesh(path: Path | str, limits: Limits | None = None) -> Mesh:
     """Loads OBJ, PLY, STL, GLB or OFF; units, axes, vertex and face order are the file's.
+
+    Joined faces are wound alike, and of surfaces that are there twice, once turned, one
+    side is kept; where that changes anything, the mesh's notes say it.
 
     Args:
         path: The file. What it names, an MTL or a texture, is read only from its folder.
@@ -51,21 +61,24 @@ def load_mesh(path: Path | str, limits: Limits | None = None) -> Mesh:
     """
     limits = limits or Limits.of_environment()
     path = check_input_file(Path(path), "mesh", limits.file_mb)
+    if path.suffix.lower() == PACKED_SUFFIX:
+        with unpacked(path, MESH_SUFFIXES) as inside:
+            mesh = load_mesh(inside.mesh, limits)
+        return dataclasses.replace(mesh, source=source_file(path))
     if path.suffix.lower() not in _READERS:
+        why = what_to_do(path)
         raise InputError(
-            f"{path.name} is not a mesh file photoreg reads: the suffix should be one "
-            f"of {', '.join(MESH_SUFFIXES)}."
+            f"{path.name} is not a mesh file photoreg reads"
+            f"{f': {why}' if why else ''}. The suffix should be one of "
+            f"{', '.join(MESH_SUFFIXES)}."
         )
     check_announced(path, limits)
     contents = _read(path, limits)
     if len(contents.faces) == 0:
-        raise InputError(
-            f"{path.name} has no triangles ({len(contents.vertices):,} vertices only); "
-            "photographs need a surface. Triangulate the point cloud first."
-        )
+        raise InputError(_no_surface(path.name, contents))
     check_counts(path.name, len(contents.vertices), len(contents.faces), limits)
     contents, texture = joined_pictures(contents)
-    return Mesh(
+    mesh = Mesh(
         contents.vertices,
         contents.faces,
         contents.corner_uv,
@@ -76,6 +89,10 @@ def load_mesh(path: Path | str, limits: Limits | None = None) -> Mesh:
         _unit_normals(contents.vertex_normals),
         contents.notes,
     )
+    note = _precision_note(mesh)
+    if note:
+        mesh = dataclasses.replace(mesh, notes=(*mesh.notes, note))
+    return consistently_wound(mesh)
 
 
 def _read(path: Path, limits: Limits) -> MeshContents:
@@ -91,6 +108,35 @@ def _read(path: Path, limits: Limits) -> MeshContents:
             f"{path.name} could not be read as a mesh: {_reason(error)}. Is the file "
             "complete?"
         ) from error
+
+
+def _precision_note(mesh: Mesh) -> str:
+    """Tells of coordinates whose last digits single precision has cut off."""
+    largest = np.abs(mesh.bounds).max().astype(np.float32)
+    step, edge = float(np.spacing(largest)), float(np.sqrt(mesh.area / len(mesh.faces)))
+    if (
+        step < COARSE_STEP * edge
+        or not (mesh.vertices.astype(np.float32) == mesh.vertices).all()
+    ):
+        return ""
+    return (
+        f"Its coordinates, up to {largest:,.0f}, are kept in single precision, in steps of "
+        f"{step:.2g}, so its faces of {edge:.2g} are bent. Export it in double precision, "
+        "or moved near to the origin together with the cameras."
+    )
+
+
+def _no_surface(name: str, contents: MeshContents) -> str:
+    if len(contents.vertices) == 0:
+        why = f" {' '.join(contents.notes)}" if contents.notes else ""
+        return (
+            f"{name} has no triangles: it holds no surface, or none that is read.{why}"
+        )
+    return (
+        f"{name} has no triangles ({len(contents.vertices):,} points only); photographs "
+        "need a surface. Make a mesh of the points, in MeshLab by Screened Poisson or in "
+        "CloudCompare by PoissonRecon, and save that as PLY."
+    )
 
 
 def _unit_normals(normals: np.ndarray | None) -> np.ndarray | None:

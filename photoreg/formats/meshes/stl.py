@@ -25,6 +25,10 @@ def read_stl(path: Path, limits: Limits) -> MeshContents:
             f"{len(content) - end:,} bytes after its last triangle were left out.",
         )
         content = content[:end]
+    if announced > 0 and len(content) == end:
+        rows = np.frombuffer(content, dtype=np.uint8, offset=84).reshape(announced, 50)
+        if rows[:, 48:].any():
+            notes = (*notes, "Colours of its faces (attribute bytes) were left out.")
     loaded: Any = trimesh.load_mesh(io.BytesIO(content), file_type="stl", process=False)
     vertices, index = np.unique(loaded.vertices, axis=0, return_inverse=True)
     faces = index.reshape(-1)[np.asarray(loaded.faces)]

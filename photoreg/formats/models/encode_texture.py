@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from photoreg.errors import OutputError
 from photoreg.formats.mark import marked_picture
+from photoreg.imaging.encoding import encode
 
 PictureKind = Literal["png", "jpeg"]
 JPEG_QUALITY = 95
@@ -32,9 +32,4 @@ def encode_picture(
             cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
         ],
     }[kind]
-    ok, encoded = cv2.imencode(
-        PICTURE_SUFFIX[kind], cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), options
-    )
-    if not ok:
-        raise OutputError(f"The texture could not be encoded as {kind.upper()}.")
-    return marked_picture(encoded.tobytes())
+    return marked_picture(encode(picture, PICTURE_SUFFIX[kind], options))

@@ -1,6 +1,7 @@
 """Textured GLB (binary glTF 2.0), the texture within."""
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Any
 
@@ -13,7 +14,7 @@ from trimesh.visual.material import PBRMaterial
 from photoreg.formats.mark import GENERATOR
 from photoreg.formats.models.encode_texture import PictureKind, encode_picture
 from photoreg.formats.models.split_vertices import source_files, split_at_seams
-from photoreg.formats.writing import check_suffix, write_files
+from photoreg.formats.writing import NOTHING, Content, check_suffix, write_files
 from photoreg.texture.bake import TexturedMesh
 
 FAR_OFF = 16.0
@@ -38,6 +39,7 @@ def save_textured_glb(
     textured: TexturedMesh,
     picture: PictureKind = "png",
     overwrite: bool = False,
+    beside: Mapping[Path, Content] = NOTHING,
 ) -> list[Path]:
     """Writes the model as one file.
 
@@ -50,15 +52,16 @@ def save_textured_glb(
         textured: What `bake_texture` returned.
         picture: How the texture is embedded; JPEG is several times smaller.
         overwrite: Whether a file without photoreg's mark may be replaced.
+        beside: Other files that are written with it, all or none.
 
     Returns:
-        The file.
+        The file, and others.
 
     Raises:
         OutputError: if it cannot be written there.
     """
     path = check_suffix(path, (".glb",))
-    contents = {path: textured_glb(textured, picture)}
+    contents = {path: textured_glb(textured, picture), **beside}
     return write_files(contents, source_files(textured), overwrite)
 
 

@@ -1,6 +1,7 @@
 """Textured OBJ: the mesh, its material file and its texture, side by side."""
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from photoreg.formats.models.encode_texture import (
     encode_picture,
 )
 from photoreg.formats.models.split_vertices import source_files
-from photoreg.formats.writing import check_suffix, write_files
+from photoreg.formats.writing import NOTHING, Content, check_suffix, write_files
 from photoreg.texture.bake import TexturedMesh
 
 
@@ -21,6 +22,7 @@ def save_textured_obj(
     textured: TexturedMesh,
     picture: PictureKind = "png",
     overwrite: bool = False,
+    beside: Mapping[Path, Content] = NOTHING,
 ) -> list[Path]:
     """Writes OBJ, MTL and picture, all of them or none.
 
@@ -33,9 +35,10 @@ def save_textured_obj(
         textured: What `bake_texture` returned.
         picture: How the texture is written; JPEG is several times smaller.
         overwrite: Whether files without photoreg's mark may be replaced.
+        beside: Other files that are written with it, all or none.
 
     Returns:
-        The three files written: OBJ, MTL, picture.
+        The files written: OBJ, MTL, picture, and others.
 
     Raises:
         OutputError: if they cannot be written there.
@@ -45,6 +48,7 @@ def save_textured_obj(
         obj: _obj_bytes(textured, mtl.name),
         mtl: _mtl_bytes(image.name),
         image: encode_picture(textured.texture, picture),
+        **beside,
     }
     return write_files(contents, source_files(textured), overwrite)
 

@@ -6,6 +6,7 @@ so no vertex is doubled; "comment TextureFile" names the picture.
 """
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from photoreg.formats.models.encode_texture import (
     encode_picture,
 )
 from photoreg.formats.models.split_vertices import source_files, vertex_colours
-from photoreg.formats.writing import check_suffix, write_files
+from photoreg.formats.writing import NOTHING, Content, check_suffix, write_files
 from photoreg.geometry.mesh import Mesh
 from photoreg.texture.bake import TexturedMesh
 
@@ -32,6 +33,7 @@ def save_textured_ply(
     textured: TexturedMesh,
     picture: PictureKind = "png",
     overwrite: bool = False,
+    beside: Mapping[Path, Content] = NOTHING,
 ) -> list[Path]:
     """Writes PLY and picture, which is named after the PLY, spaces as underscores.
 
@@ -40,9 +42,10 @@ def save_textured_ply(
         textured: What `bake_texture` returned.
         picture: How the texture is written; JPEG is several times smaller.
         overwrite: Whether files without photoreg's mark may be replaced.
+        beside: Other files that are written with it, all or none.
 
     Returns:
-        The two files.
+        The two files, and others.
 
     Raises:
         OutputError: if they cannot be written there.
@@ -57,6 +60,7 @@ def save_textured_ply(
         {
             path: header + vertices.tobytes() + faces.tobytes(),
             image: encode_picture(textured.texture, picture),
+            **beside,
         },
         source_files(textured),
         overwrite,
@@ -70,7 +74,10 @@ def ply_files(path: Path, picture: PictureKind) -> list[Path]:
 
 
 def save_coloured_ply(
-    path: Path | str, textured: TexturedMesh, overwrite: bool = False
+    path: Path | str,
+    textured: TexturedMesh,
+    overwrite: bool = False,
+    beside: Mapping[Path, Content] = NOTHING,
 ) -> list[Path]:
     """Writes PLY with the texture's colour at each vertex.
 
@@ -78,9 +85,10 @@ def save_coloured_ply(
         path: Where it goes.
         textured: What `bake_texture` returned.
         overwrite: Whether a file without photoreg's mark may be replaced.
+        beside: Other files that are written with it, all or none.
 
     Returns:
-        The file.
+        The file, and others.
 
     Raises:
         OutputError: if it cannot be written there.
@@ -92,8 +100,8 @@ def save_coloured_ply(
         vertices[channel] = colours[:, i]
     faces = np.zeros(len(textured.faces), dtype=np.dtype(_FACE))
     faces["n"], faces["vertex_indices"] = 3, textured.faces
-    contents = {path: _header(vertices, faces) + vertices.tobytes() + faces.tobytes()}
-    return write_files(contents, source_files(textured), overwrite)
+    content = _header(vertices, faces) + vertices.tobytes() + faces.tobytes()
+    return write_files({path: content, **beside}, source_files(textured), overwrite)
 
 
 def save_mesh(path: Path | str, mesh: Mesh, overwrite: bool = False) -> list[Path]:

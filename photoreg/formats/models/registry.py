@@ -1,7 +1,7 @@
 """A textured model out, in the format of the suffix, to files or into one zip."""
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from photoreg.errors import OutputError
@@ -10,10 +10,12 @@ from photoreg.formats.models.encode_texture import PictureKind
 from photoreg.formats.models.glb import save_textured_glb
 from photoreg.formats.models.obj import obj_files, save_textured_obj
 from photoreg.formats.models.ply import ply_files, save_coloured_ply, save_textured_ply
-from photoreg.formats.writing import check_suffix
+from photoreg.formats.writing import NOTHING, Content, check_suffix
 from photoreg.texture.bake import TexturedMesh
 
-_Save = Callable[[Path, TexturedMesh, PictureKind, bool], list[Path]]
+_Save = Callable[
+    [Path, TexturedMesh, PictureKind, bool, Mapping[Path, Content]], list[Path]
+]
 TEXTURED_FORMATS: dict[str, _Save] = {
     ".obj": save_textured_obj,
     ".glb": save_textured_glb,
@@ -45,6 +47,7 @@ def save_textured(
     at_vertices: bool = False,
     picture: PictureKind = "png",
     overwrite: bool = False,
+    beside: Mapping[Path, Content] = NOTHING,
 ) -> list[Path]:
     """Writes a textured model: .obj (with MTL and picture), .glb or .ply (with picture).
 
@@ -54,6 +57,7 @@ def save_textured(
         at_vertices: For .ply: colours at the vertices instead of a texture.
         picture: How the texture is written; JPEG is several times smaller.
         overwrite: Whether files without photoreg's mark may be replaced.
+        beside: Other files that are written with it, all or none.
 
     Returns:
         The files written, the model first.
@@ -74,8 +78,8 @@ def save_textured(
             raise OutputError(
                 f"Cannot write {path}: colours at the vertices go into a .ply file."
             )
-        return save_coloured_ply(path, textured, overwrite)
-    return save(path, textured, picture, overwrite)
+        return save_coloured_ply(path, textured, overwrite, beside)
+    return save(path, textured, picture, overwrite, beside)
 
 
 def textured_download(

@@ -140,6 +140,21 @@ def decode(path: Path, limits: Limits) -> DecodedPhoto:
     )
 
 
+def stored_pixels(path: Path, limits: Limits) -> UInt8[np.ndarray, "h w 3"]:
+    """The pixels of a picture that is no photo, a texture: sRGB, as the file stores them.
+
+    Raises:
+        InputError: if it cannot be read, is larger than ``limits`` say, or its colours
+            are for HDR displays or not known.
+    """
+    with _opened(path, limits) as (kind, image):
+        if image is None:
+            raise InputError(f"{path.name} is RAW. Save it as JPEG or PNG.")
+        _check_size(path.name, image.size, limits)
+        page = _chosen_page(path, kind, image)
+        return _srgb_bytes(path, kind, image, page, _facts(kind, image))
+
+
 # Files and their formats.
 
 

@@ -73,7 +73,17 @@ def test_history_choices_and_runs_survive_a_restart(tmp_path: Path) -> None:
     cameras = session.state.document.used_cameras
     config = RegistrationConfig.preset("fast")
     curve = (CurvePoint(0, 1.0, 2.0),)
-    run = Run("review", 1, "", "fast", config, names, cameras, cameras, curve=curve)
+    run = Run(
+        status="review",
+        number=1,
+        began="",
+        preset="fast",
+        config=config,
+        photo_names=names,
+        start=cameras,
+        cameras=cameras,
+        curve=curve,
+    )
     session.change(None, setting(run=run, runs=(run,), mesh_opacity=0.25))
     chosen: dict[str, Any] = {
         "config": dataclasses.replace(config, seed=7),
@@ -117,6 +127,7 @@ def test_points_masks_names_order_and_use_survive_a_restart_with_their_undo(
     name = 'Left, "cleaned" é.jpg'
     session.change("Points", with_entry(0, pairs=pairs))
     session.change("Mask", with_entry(0, mask_png=mask))
+    session.change("Crop", photo_list.cropped(first.name, True))
     session.change("Rename", photo_list.renamed(first.name, name))
     session.change("Move in the list", photo_list.shifted(name, 1))
     session.change("Leave out", photo_list.enabled(second.name, False))
@@ -128,7 +139,9 @@ def test_points_masks_names_order_and_use_survive_a_restart_with_their_undo(
     assert (other.enabled, ours.enabled) == (False, True)
     assert ours.pairs == pairs
     assert ours.mask_png == mask
-    for step in ("Leave out", "Move in the list", "Rename", "Mask", "Points"):
+    assert (ours.cropped, other.cropped) == (True, None)
+    assert again.state.freedom.cropped == (0,)
+    for step in ("Leave out", "Move in the list", "Rename", "Crop", "Mask", "Points"):
         assert again.undo() == step
     back = again.state.document.photos
     assert [entry.name for entry in back] == [first.name, second.name]
@@ -140,8 +153,8 @@ def test_a_run_that_is_cut_short_can_go_on_after_a_restart(tmp_path: Path) -> No
     session, projects = _opened(tmp_path / "work")
     entry = session.state.document.photos[0]
     run = Run(
-        "running",
-        3,
+        status="running",
+        number=3,
         config=RegistrationConfig(),
         photo_names=(entry.name,),
         start=(entry.camera,),

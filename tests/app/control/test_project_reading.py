@@ -1,7 +1,9 @@
 """Projects are read in a process of their own: what it cannot do, and how it ends."""
 
+import contextlib
 import multiprocessing
 import os
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -9,7 +11,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
@@ -58,12 +59,13 @@ def slow(folder: Path) -> Path:
     return folder
 
 
-def children_of(pid: int) -> set[int]:
+def descendants_of(pid: int) -> set[int]:
     """Process numbers, by Linux."""
     found = set()
-    for task in Path(f"/proc/{pid}/task").iterdir():
-        found |= {int(word) for word in (task / "children").read_text().split()}
-    return found
+    with contextlib.suppress(FileNotFoundError):  # It has ended meanwhile.
+        for task in Path(f"/proc/{pid}/task").iterdir():
+            found |= {int(word) for word in (task / "children").read_text().split()}
+    return found.union(*map(descendants_of, found))
 
 
 def is_there(pid: int) -> bool:
@@ -106,6 +108,28 @@ def test_what_a_process_read_is_not_read_again(
     projects.close()
 
 
+def test_files_that_have_moved_are_not_decoded_in_the_server_either(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    museum = Path(shutil.copytree(demo_folder(), tmp_path / "museum"))
+    projects = Projects(Session(), read=read_all)
+    projects.new(open_folder(museum), tmp_path / "work")
+    projects.close()
+    museum.rename(tmp_path / "moved")
+    session = Session()
+    projects = Projects(session)
+    projects.open(tmp_path / "work")
+    assert len(projects.problems) == 3
+    for name in ("load_mesh", "load_photo"):
+        monkeypatch.setattr(
+            f"photoreg.project.project.{name}", lambda path: pytest.fail(str(path))
+        )
+    projects.locate(projects.problems[0], tmp_path / "moved", changed=False)
+    assert projects.problems == []
+    assert len(session.state.document.photos) == 2
+    projects.close()
+
+
 def test_cancel_and_the_end_of_the_program_end_the_reading(slow: Path) -> None:
     for end in (Projects.stop_opening, Projects.close):
         projects, said = Projects(Session()), []
@@ -141,9 +165,9 @@ def test_a_signal_ends_the_program_while_it_opens_a_project(
         stderr=subprocess.PIPE,
         text=True,
     ) as process:
-        wait_until(lambda: bool(children_of(process.pid)))
+        wait_until(lambda: bool(descendants_of(process.pid)))
         time.sleep(2.0)  # It is at the files.
-        children = children_of(process.pid)
+        children = descendants_of(process.pid)
         assert children
         process.send_signal(number)
         said, complaint = process.communicate(timeout=20)
@@ -152,26 +176,25 @@ def test_a_signal_ends_the_program_while_it_opens_a_project(
     wait_until(lambda: not any(map(is_there, children)), 20)
 
 
-def die(connection: Connection, _folder: Path) -> None:
-    connection.send("its history")
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
-def hang(connection: Connection, _folder: Path) -> None:
-    connection.send("its files")
-    time.sleep(3600)
-
-
 def test_a_reader_that_dies_or_hangs_is_a_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    slow: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(project_reading, "_serve", die)
-    with pytest.raises(InputError, match="reading its history was cut short"):
-        ProjectReader().read(tmp_path)
-    monkeypatch.setattr(project_reading, "_serve", hang)
+    def then(number: signal.Signals) -> Callable[[str], None]:
+        """Sends the reader a signal as soon as it is at the files."""
+
+        def told(part: str) -> None:
+            if part == "its files":
+                (process,) = running()
+                assert process.pid is not None
+                os.kill(process.pid, number)
+
+        return told
+
+    with pytest.raises(InputError, match="reading its files was cut short"):
+        ProjectReader().read(slow, then(signal.SIGKILL))
     monkeypatch.setattr(project_reading, "PATIENCE_PART_S", 5.0)
     with pytest.raises(InputError, match="took more than 5 s"):
-        ProjectReader().read(tmp_path)
+        ProjectReader().read(slow, then(signal.SIGSTOP))
     assert not running()
 
 

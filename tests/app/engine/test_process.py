@@ -52,7 +52,7 @@ from photoreg.synthetic.scene import Scene, make_scene
 from photoreg.texture.blend import TextureConfig
 from tests.browser.driver import wait_until
 
-VIEW = OverlayView("blend", 0)
+VIEW = OverlayView(style="blend", onto=0)
 FAST = RegistrationConfig.preset("fast")
 THOROUGH = RegistrationConfig.preset("thorough")
 
@@ -94,7 +94,10 @@ def test_the_worker_s_answer_is_the_engine_s_to_the_bit(shared, scene):
     worker, listener = shared
     mesh, photos, cameras = scene.mesh, scene.photos, scene.cameras
     start = scene.rough_cameras
-    worker.send(SetScene(mesh, photos), Refine(start, FAST, VIEW, cameras))
+    worker.send(
+        SetScene(mesh, photos),
+        Refine(cameras=start, config=FAST, view=VIEW, truth=cameras),
+    )
     refined = listener.wait_for(Refined)
     *_, last = refine(mesh, photos, start, RegistrationConfig.preset("fast"))
     assert isinstance(last, Finished)
@@ -106,7 +109,7 @@ def test_the_worker_s_answer_is_the_engine_s_to_the_bit(shared, scene):
 
 def test_a_run_begun_in_spare_time_has_the_same_answer_and_counts_no_idle_time(scene):
     mesh, photos, start = scene.mesh, scene.photos, scene.rough_cameras
-    job = Refine(start, FAST, VIEW, None)
+    job = Refine(cameras=start, config=FAST, view=VIEW, truth=None)
     preparation = Preparation(mesh, photos, start, FAST, job.freedom)
     assert preparation.is_for(job)
     nudged = np.nextafter(start[0].t_cam_world, np.inf)
@@ -130,7 +133,9 @@ def test_a_run_begun_in_spare_time_has_the_same_answer_and_counts_no_idle_time(s
 def test_of_a_run_that_nobody_watches_nothing_is_drawn(shared, scene):
     worker, listener = shared
     worker.send(Watch(False), SetScene(scene.mesh, scene.photos))
-    worker.send(Refine(scene.rough_cameras, THOROUGH, VIEW, None))
+    worker.send(
+        Refine(cameras=scene.rough_cameras, config=THOROUGH, view=VIEW, truth=None)
+    )
     told: list[Event] = []
     while sum(isinstance(event, Live) for event in told) < 8:
         told.append(listener.events.get(timeout=90.0))
@@ -171,7 +176,7 @@ def test_stop_ends_the_run_with_the_best_so_far(shared, scene):
     worker, listener = shared
     start = scene.rough_cameras
     worker.send(SetScene(scene.mesh, scene.photos))
-    worker.send(Refine(start, THOROUGH, VIEW, None))
+    worker.send(Refine(cameras=start, config=THOROUGH, view=VIEW, truth=None))
     lives = [listener.wait_for(Live)]
     while not lives[-1].curve or lives[-1].curve[-1].best > 0.9:
         lives.append(listener.wait_for(Live))
@@ -187,10 +192,12 @@ def test_stop_ends_the_run_with_the_best_so_far(shared, scene):
 @pytest.mark.workqueue
 def test_pictures_come_while_the_search_runs(shared, scene):
     worker, listener = shared
-    job = Refine(scene.rough_cameras, THOROUGH, VIEW, scene.cameras)
+    job = Refine(
+        cameras=scene.rough_cameras, config=THOROUGH, view=VIEW, truth=scene.cameras
+    )
     worker.send(SetScene(scene.mesh, scene.photos), job)
     pictures = [listener.wait_for(Picture) for _ in range(3)]
-    worker.send(OverlayView("difference", 1))
+    worker.send(OverlayView(style="difference", onto=1))
     pictures += [listener.wait_for(Picture) for _ in range(3)]
     worker.stop_refinement()
     listener.wait_for(Refined)
@@ -204,7 +211,7 @@ def test_pictures_come_while_the_search_runs(shared, scene):
 def test_a_stop_that_comes_too_late_does_no_harm(shared, scene):
     worker, listener = shared
     worker.send(Stop(), SetScene(scene.mesh, scene.photos))
-    worker.send(Refine(scene.rough_cameras, FAST, VIEW, None))
+    worker.send(Refine(cameras=scene.rough_cameras, config=FAST, view=VIEW, truth=None))
     assert listener.wait_for(Refined).finished is not None
 
 
@@ -222,23 +229,23 @@ def test_of_passing_events_the_newest_is_told_and_the_curve_is_whole():
 
 
 @pytest.fixture(scope="module")
-def one_conductor() -> Iterator[Controller]:
+def shared_controller() -> Iterator[Controller]:
     controller = Controller(Session(), warm_up=False)
     yield controller
     controller.close()
 
 
 @pytest.fixture
-def controller(one_conductor, scene) -> Controller:
+def controller(shared_controller, scene) -> Controller:
     """The controller of all tests, with the scene opened anew."""
     entries = tuple(map(PhotoEntry, scene.photos, scene.rough_cameras))
     truth = tuple(zip((e.name for e in entries), scene.cameras, strict=True))
     mesh = dataclasses.replace(scene.mesh)
-    one_conductor.on_problem = lambda _: None
-    one_conductor.session.change(
+    shared_controller.on_problem = lambda *_: None
+    shared_controller.session.change(
         "Open", lambda _: State(document=Document(mesh, mesh, entries, truth))
     )
-    return one_conductor
+    return shared_controller
 
 
 def wait(controller: Controller, condition, what: str) -> State:
@@ -252,7 +259,7 @@ def improved(state: State) -> bool:
 
 def test_killing_the_worker_keeps_the_best_and_the_next_run_works(controller):
     problems: list[str] = []
-    controller.on_problem = problems.append
+    controller.on_problem = lambda *words: problems.append(": ".join(words))
     session = controller.session
     session.change(None, rules.setting(preset="thorough"))
     controller.refinement.start()
@@ -292,7 +299,7 @@ def test_a_run_goes_from_start_to_accept_and_back_by_undo(controller):
     assert session.state.document is before
 
 
-def test_a_conductor_s_stop_waits_for_a_decision(controller):
+def test_after_a_stop_the_run_waits_for_a_decision(controller):
     session = controller.session
     session.change(None, rules.setting(preset="thorough"))
     controller.refinement.start()
@@ -346,12 +353,12 @@ def test_an_uploaded_photo_gets_a_camera_that_sees_the_object(controller, scene)
 
 def test_a_bad_upload_is_told_and_changes_nothing(controller):
     problems: list[str] = []
-    controller.on_problem = problems.append
+    controller.on_problem = lambda *words: problems.append(": ".join(words))
     document = controller.session.state.document
     controller.intake.open_one("notes.jpg", b"not a picture")
     wait_until(lambda: problems, "the user is told")
     assert "notes.jpg could not be read" in problems[0]
-    with pytest.raises(InputError, match="suffix"):
+    with pytest.raises(InputError, match="not a file photoreg opens"):
         controller.intake.open_one("mesh.exe", b"MZ")
     assert controller.session.state.document is document
     assert controller.session.state.job is None
@@ -369,10 +376,10 @@ def test_cancel_ends_the_reading_of_a_camera_file_and_leaves_no_trace(controller
     assert state.note == "Cancelled; nothing was opened."
     data = b"%YAML:1.0\n---\ncameras: [ ]\n"
     told: list[str] = []
-    controller.on_problem = told.append
+    controller.on_problem = lambda *words: told.append(": ".join(words))
     controller.intake.open_one("none.yml", data)
     wait_until(lambda: told, "the next file is read")
-    assert told == ["none.yml has no cameras."]
+    assert told == ["Could not open none.yml: none.yml has no cameras."]
 
 
 def test_the_overlay_follows_the_cameras_and_tells_the_true_error(controller):
@@ -383,7 +390,11 @@ def test_the_overlay_follows_the_cameras_and_tells_the_true_error(controller):
     session.change("Put right", rules.with_cameras(true))
     assert error is not None
     assert error > 1.0
-    wait(controller, lambda s: s.run.error_px < 1e-6, "the overlay follows")
+    wait(
+        controller,
+        lambda s: s.run.error_px is not None and s.run.error_px < 1e-6,
+        "the overlay follows",
+    )
     assert controller.picture != first
 
 

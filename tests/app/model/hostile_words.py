@@ -101,12 +101,20 @@ def hostile_states() -> list[State]:
     entry, n = document.photos[0], len(document.photos[0].pairs)
     inliers = np.arange(n) > 0
     resection = Resection(
-        cameras[0], "pose", np.ones(n), inliers, 1.0, 0, 3.0, 0.1, ("Pair 1 does not",)
+        camera=cameras[0],
+        solved="pose",
+        residuals_px=np.ones(n),
+        inliers=inliers,
+        rms_px=1.0,
+        worst=0,
+        expected_error_px=3.0,
+        focal_error=0.1,
+        warnings=("Pair 1 does not",),
     )
     idle = State(
         document=document,
         solution=Solution(entry.photo, entry.pairs, resection, ""),
-        readiness=Readiness(0.5, ("a",), ("b",), ("c",)),
+        readiness=Readiness(overlap=0.5, blind=("a",), alone=("b",), plain=("c",)),
         agreement=Agreement(1.0, 2.0, 0.5),
         texture=Texture(
             glb(),
@@ -167,5 +175,13 @@ def hostile_states() -> list[State]:
 
 def hostile_comparison() -> PhotoComparison:
     """Before and after in a photo with a hostile name."""
-    names = ("left.png" + WORDS, "right.png" + WORDS)
-    return PhotoComparison(*names, b"", b"", b"", b"", 1.0, None)
+    return PhotoComparison(
+        name="left.png" + WORDS,
+        carried="right.png" + WORDS,
+        before=b"",
+        after=b"",
+        disagreement_before=b"",
+        disagreement_after=b"",
+        levels_before=1.0,
+        levels_after=None,
+    )

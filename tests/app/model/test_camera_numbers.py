@@ -90,6 +90,7 @@ def test_stepping_aside_keeps_the_lens_and_turns_by_twenty_degrees(camera):
     ("change", "says"),
     [
         (lambda c: camera_numbers.with_checked_focal(c, 5.0, None), "64 to 19200 px"),
+        (lambda c: camera_numbers.focal_of_film(c, 0.0), r"3\.\d to .* mm"),
         (lambda c: camera_numbers.focal_of_angle(c, 179.0), "2 to 160 degrees"),
         (lambda c: camera_numbers.with_principal_point(c, 0.0, 1e4), "-480 to 960 px"),
         (

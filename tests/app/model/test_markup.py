@@ -113,7 +113,7 @@ def test_a_question_about_a_file_keeps_hostile_words_as_words():
 
 
 def test_a_number_that_is_a_text_is_shown_as_text():
-    """As in a project of somebody else; reading it is refused, this is the second door."""
+    """As in a project of somebody else; reading it is refused, this is the second line of defence."""
     state = hostile_states()[0]
     first = state.document.photos[0]
     number: int = WORDS  # pyright: ignore[reportAssignmentType]

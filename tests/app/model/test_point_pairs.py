@@ -167,7 +167,9 @@ def test_the_pairs_of_a_photo_selected_during_a_run_are_solved(session, document
         for camera in start
     )
     names = tuple(entry.name for entry in document.photos)
-    run = Run("running", 1, photo_names=names, start=start, cameras=better)
+    run = Run(
+        status="running", number=1, photo_names=names, start=start, cameras=better
+    )
     pairs = true_pairs(document.photos[1], document.mesh, 8)
     session.change("Points", rules.with_entry(1, pairs=pairs))
     session.change(None, rules.setting(run=run))

@@ -193,7 +193,9 @@ def test_photos_are_left_out_and_removed_by_name(session):
 def run_of(document: Document, status: Status) -> Run:
     names = tuple(entry.name for entry in document.photos)
     refined = tuple(moved(camera, 0.5) for camera in document.used_cameras)
-    return Run(status, photo_names=names, start=document.used_cameras, cameras=refined)
+    return Run(
+        status=status, photo_names=names, start=document.used_cameras, cameras=refined
+    )
 
 
 def test_while_a_refinement_runs_the_document_is_closed(session, document):
@@ -258,7 +260,13 @@ def test_what_was_measured_does_not_outlive_its_scene(session):
 
 def test_a_run_whose_engine_dies_can_go_on_however_early_it_was(session):
     cameras = session.state.document.used_cameras
-    run = Run("running", 4, photo_names=("a", "b"), start=cameras, cameras=cameras)
+    run = Run(
+        status="running",
+        number=4,
+        photo_names=("a", "b"),
+        start=cameras,
+        cameras=cameras,
+    )
     session.change(None, rules.setting(run=run))
 
     def died(**more: Any) -> State:
@@ -275,3 +283,17 @@ def test_a_run_whose_engine_dies_can_go_on_however_early_it_was(session):
     assert late.run.status == "review"
     assert not late.can_go_on, "it was never told where it stands"
     assert late.run.outcome == "The engine died; this is the best until then."
+
+
+def test_a_photo_is_cropped_as_exif_tells_or_as_a_person_says(session, document):
+    assert session.state.freedom.cropped == ()
+    session.change("Crop", photo_list.cropped("toy-1.png", True))
+    assert session.state.freedom.cropped == (1,)
+    session.change("Crop", photo_list.cropped("toy-1.png", False))
+    assert session.state.freedom.cropped == ()
+    by_exif = dataclasses.replace(document.photos[0].photo, is_cropped=True)
+    session.change("Photo", rules.with_entry(0, photo=by_exif))
+    assert session.state.freedom.cropped == (0,)
+    assert session.undo() == "Photo"
+    assert session.undo() == "Crop"
+    assert session.state.freedom.cropped == (1,)

@@ -13,7 +13,8 @@ from app.control.controller import Controller
 from app.model.failures import UNFORESEEN
 from app.model.messages import Working
 from app.model.scene_files import demo_folder, open_folder
-from app.model.session import Session, select, with_entry
+from app.model.session import Session, select, setting, with_entry
+from app.model.state import State
 from app.page import server
 from app.page.server import Page
 from app.panels.view import ViewPanel
@@ -37,7 +38,7 @@ def page(tmp_path, monkeypatch):
     monkeypatch.setenv("PHOTOREG_DATA", str(tmp_path))
     monkeypatch.setattr(server, "ViewPanel", UnhurriedPanel)
     session = Session()
-    controller = Controller(session)
+    controller = Controller(session, warm_up=False)
     page = Page(session, controller, port=0)
     yield page
     page.close()
@@ -168,3 +169,37 @@ def test_what_fails_off_the_event_loop_reaches_the_people_too(page, monkeypatch)
             page.controller._hear(Working("Packing", 0.5))
         wait_until(lambda: any(UNFORESEEN in text for text in said), "all are told")
     assert len([text for text in said if UNFORESEEN in text]) == 1
+
+
+def test_a_browser_that_leaves_while_its_view_is_painted_is_no_failure(
+    page, monkeypatch, caplog
+):
+    page.session.begin(open_folder(demo_folder()))
+    address, has_left = f"http://127.0.0.1:{page.port}", threading.Event()
+    heard: list[str] = []
+    leaving = contextlib.ExitStack()
+    leaving.enter_context(listening(address, lambda _: None))
+    wait_until(page.server.get_clients, "a browser is here")
+    (first,) = page.server.get_clients()
+    wait_until(lambda: page.viewport(first), "it has its view")
+    with listening(address, lambda message: heard.append(str(message))):
+        wait_until(lambda: len(page.server.get_clients()) == 2, "another one, too")
+        (second,) = set(page.server.get_clients()) - {first}
+        wait_until(lambda: page.viewport(second), "it has its view as well")
+        show = ViewPanel.show
+
+        def show_late(panel: ViewPanel, state: State) -> None:
+            if state.gizmo == "orbit" and not has_left.is_set():
+                leaving.close()
+                wait_until(lambda: not page.viewport(first), "it is gone")
+                has_left.set()
+            show(panel, state)
+
+        monkeypatch.setattr(ViewPanel, "show", show_late)
+        page.session.change(None, setting(gizmo="orbit"))
+        wait_until(has_left.is_set, "it left in the middle")
+        note = "The other one is still painted for."
+        page.session.change(None, setting(note=note))
+        wait_until(lambda: any(note in text for text in heard), "it is painted")
+    assert not [text for text in heard if "Notification" in text]
+    assert not caplog.records, caplog.text

@@ -201,6 +201,7 @@ def test_what_the_scripts_do_send_is_done(page):
         for message, done in (
             ({"act": "shift", "by": 1}, lambda: [*entries()] == [second, first]),
             ({"act": "enable", "on": False}, lambda: not entries()[first].enabled),
+            ({"act": "crop", "on": True}, lambda: entries()[first].is_cropped),
             ({"act": "pick", "u": 30, "v": 40.5}, lambda: entries()[first].pairs),
             (
                 {"act": "move", "number": 1, "u": 31, "v": 41},

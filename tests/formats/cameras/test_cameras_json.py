@@ -75,7 +75,7 @@ def test_a_photo_of_another_size_is_refused(path):
     ("change", "words"),
     [
         (lambda d: d.update(format="colmap"), "not a photoreg camera file"),
-        (lambda d: d.update(version=2), "Update photoreg"),
+        (lambda d: d.update(version=3), "Update photoreg"),
         (lambda d: d.update(cameras={}), "list"),
         (lambda d: d["cameras"].append(d["cameras"][0]), "two cameras"),
         (lambda d: d["cameras"][0].pop("K"), "camera 1 lacks K"),

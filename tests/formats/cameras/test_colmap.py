@@ -70,7 +70,10 @@ def test_colmap_cameras_without_distortion_are_read(tmp_path, camera):
 @pytest.mark.parametrize(
     ("camera", "words"),
     [
-        ("OPENCV 100 80 120 120 50 40 0.1 0 0 0", "undistort the photos"),
+        (
+            "FULL_OPENCV 100 80 120 120 50 40 0 0 0 0 0 -40 0 0",
+            "undistort the photos",
+        ),
         ("OPENCV_FISHEYE 100 80 120 120 50 40 0 0 0 0", "undistort the photos"),
         ("SOMETHING 100 80 120", "undistort the photos"),
         ("PINHOLE 100 80 120 50 40", "should have 4 parameters"),

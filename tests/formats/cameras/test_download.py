@@ -1,10 +1,12 @@
 """Cameras as one file to take home, and found again among files and in zips."""
 
+import dataclasses
 import io
 import zipfile
 from pathlib import Path
 
 import numpy as np
+import pillow_heif
 import pytest
 from PIL import ExifTags, Image
 
@@ -13,12 +15,16 @@ from photoreg.formats.archives import unzipped
 from photoreg.formats.cameras.camera_set import largest_shift_px
 from photoreg.formats.cameras.download import PLACES, cameras_download
 from photoreg.formats.cameras.find import find_cameras
-from photoreg.formats.cameras.registry import CAMERA_FORMATS, read_cameras
+from photoreg.formats.cameras.registry import WRITTEN_FORMATS, read_cameras
+from photoreg.formats.meshes.packed import pack
+from photoreg.formats.meshes.read import load_mesh
 from photoreg.formats.photos.read import load_photo
+from photoreg.geometry.lens import Lens
 from photoreg.imaging.photo import Photo
+from photoreg.imaging.undistort import undistorted_photo
 from tests.formats.camera_files import camera_set, general_cameras
 
-READABLE = [name for name, f in CAMERA_FORMATS.items() if f.load is not None]
+READABLE = [name for name, f in WRITTEN_FORMATS.items() if f.load is not None]
 
 
 def unpack(content: bytes, folder: Path) -> list[str]:
@@ -57,7 +63,7 @@ def test_what_is_downloaded_is_found_and_read_again(tmp_path, scene, name):
 
 
 def test_every_format_has_its_place_in_a_download():
-    assert list(PLACES) == list(CAMERA_FORMATS)
+    assert list(PLACES) == list(WRITTEN_FORMATS)
 
 
 def test_photos_go_along_only_where_wanted(scene):
@@ -128,3 +134,74 @@ def test_a_renamed_photo_of_texrecon_is_found_by_its_name_here(tmp_path, scene):
         elsewhere[name] = path.rename(tmp_path / f"upload-{i}{path.suffix}")
     read = read_cameras(tmp_path / "cams", photos=elsewhere)
     assert set(read.cameras) == set(cameras.cameras)
+
+
+def test_photos_that_few_programs_read_are_given_as_jpeg(tmp_path, scene):
+    pillow_heif.register_heif_opener()
+    cameras, photos = scene
+    heic = tmp_path / "my photos" / "Left.HEIC"
+    Image.fromarray(photos[0].pixels).save(heic, quality=90)
+    first, camera = load_photo(heic), cameras.cameras[photos[0].name]
+    taken = Photo("left.jpg", photos[1].pixels)
+    made = cameras_download(
+        "nerfstudio",
+        {first.name: camera, taken.name: cameras.cameras[photos[1].name]},
+        [first, taken],
+    )
+    names = unpack(made.content, tmp_path / "home")
+    assert names == ["Left.HEIC.jpg", "left.jpg", "transforms.json"]
+    read = read_cameras(tmp_path / "home" / "transforms.json").cameras
+    assert largest_shift_px(camera, read["Left.HEIC.jpg"]) < 1e-6
+    given = load_photo(tmp_path / "home" / "Left.HEIC.jpg")
+    assert np.abs(given.pixels.astype(int) - first.pixels).mean() < 4.0
+    assert made.losses[0].startswith("Left.HEIC is given as Left.HEIC.jpg")
+
+
+def test_a_mesh_that_came_with_its_files_is_given_with_them(tmp_path, scene):
+    cameras, photos = scene
+    obj, mtl = tmp_path / "m.obj", tmp_path / "m.mtl"
+    obj.write_text("mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl a\nf 1 2 3\n")
+    mtl.write_text("newmtl a\n")
+    pack(obj, [mtl], tmp_path / "m.obj.meshzip")
+    mesh = load_mesh(tmp_path / "m.obj.meshzip")
+    made = cameras_download("meshlab", cameras.cameras, photos, mesh)
+    names = unpack(made.content, tmp_path / "home")
+    assert {"m.obj", "m.mtl", "cameras.mlp"} <= set(names)
+    assert 'filename="m.obj"' in (tmp_path / "home" / "cameras.mlp").read_text()
+
+
+@pytest.mark.parametrize("name", ["colmap", "photoreg"])
+def test_photos_without_lenses_go_with_pinhole_cameras(tmp_path, scene, name):
+    cameras, photos = scene
+    first, *others = cameras.cameras
+    bent = {**cameras.cameras}
+    bent[first] = bent[first].with_lens(Lens(-0.2, 0.03))
+    made = cameras_download(name, bent, photos, with_photos=False, undistorted=True)
+    home = tmp_path / "home"
+    unpack(made.content, home)
+    read = read_cameras(find_cameras(home)).cameras
+    new = Path(first).with_suffix(".png").name
+    assert set(read) == {new, *others}
+    assert all(camera.lens.is_ideal for camera in read.values())
+    np.testing.assert_allclose(read[new].P, bent[first].P, atol=1e-6)
+    (path,) = home.rglob(new)
+    flat, wanted = load_photo(path), undistorted_photo(photos[0], bent[first])
+    np.testing.assert_array_equal(flat.pixels, wanted.pixels)
+    np.testing.assert_array_equal(
+        flat.mask is None or flat.mask, wanted.mask is None or wanted.mask
+    )
+    # Photos with ideal lenses are the files they were.
+    for photo in photos[1:]:
+        (path,) = home.rglob(photo.name)
+        assert path.read_bytes() == photo.source.path.read_bytes()
+
+
+def test_two_photos_are_not_made_one_by_undistorting(scene):
+    cameras, (photo, *_) = scene
+    camera = cameras.cameras[photo.name].with_lens(Lens(k1=-0.1))
+    names = ("a.jpg", "a.tif")
+    photos = [dataclasses.replace(photo, name=n, source=None) for n in names]
+    with pytest.raises(InputError, match=r"Two photos would become a\.png"):
+        cameras_download(
+            "colmap", dict.fromkeys(names, camera), photos, undistorted=True
+        )

@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pytest
 
 from photoreg.formats.cameras.registry import read_cameras
 from tests.formats.camera_files import NAMES, camera_set, points_before, refused, write
@@ -36,8 +37,57 @@ def test_nerfstudio_s_field_of_view_and_the_photo_s_size_are_enough(
     np.testing.assert_allclose(camera.K, [[f, 0, 79.5], [0, f, 48.0], [0, 0, 1]])
 
 
-def test_lens_distortion_of_nerfstudio_is_refused(tmp_path, photo_folder):
+def test_a_fourth_radial_term_of_nerfstudio_is_refused(tmp_path, photo_folder):
     path, _ = write(tmp_path, "nerfstudio", camera_set(photo_folder))
     document = json.loads(path.read_text(encoding="utf-8"))
-    path.write_text(json.dumps({**document, "k1": -0.02}))
+    path.write_text(json.dumps({**document, "k4": -0.02}))
     assert "undistort the photos" in refused(path)
+
+
+def test_poses_moved_to_another_world_and_masks_are_named(tmp_path, photo_folder):
+    path, _ = write(tmp_path, "nerfstudio", camera_set(photo_folder))
+    assert read_cameras(path).notes == ()
+    document = json.loads(path.read_text(encoding="utf-8"))
+    same = np.eye(4)[:3].tolist()
+    path.write_text(json.dumps({**document, "applied_transform": same}))
+    assert read_cameras(path).notes == ()
+    turn = [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]]
+    document["frames"][0]["mask_path"] = "masks/1.png"
+    path.write_text(json.dumps({**document, "applied_transform": turn}))
+    file = read_cameras(path)
+    assert file.moved is not None
+    moved, masks = file.notes
+    assert "applied_transform" in moved
+    assert "COLMAP" in moved
+    assert "mask_path" in masks
+
+
+def test_how_poses_were_moved_can_be_undone(tmp_path, photo_folder):
+    before = camera_set(photo_folder)
+    path, _ = write(tmp_path, "nerfstudio", before)
+    document = json.loads(path.read_text(encoding="utf-8"))
+    turn = np.array([[1.0, 0, 0, 0.3], [0, 0, 1, -2.0], [0, -1, 0, 0.7]])
+    # As nerfstudio moves them: applied_transform first, then applied_scale.
+    for frame in document["frames"]:
+        pose = turn @ np.array(frame["transform_matrix"])
+        pose[:, 3] *= 2.5
+        frame["transform_matrix"] = [*pose.tolist(), [0, 0, 0, 1]]
+    document |= {"applied_transform": turn.tolist(), "applied_scale": 2.5}
+    path.write_text(json.dumps(document))
+    file = read_cameras(path)
+    assert file.moved is not None
+    for name, camera in before.cameras.items():
+        again = file.moved.undone(file.cameras[name])
+        np.testing.assert_allclose(again.P, camera.P, atol=1e-9)
+        assert np.abs(file.cameras[name].P - camera.P).max() > 0.1
+
+
+@pytest.mark.parametrize("rows", [[[1, 0], [0, 1]], [[2, 0, 0, 0]] * 3, "turned"])
+def test_a_move_that_is_no_turn_is_named_and_not_undone(tmp_path, photo_folder, rows):
+    path, _ = write(tmp_path, "nerfstudio", camera_set(photo_folder))
+    document = json.loads(path.read_text(encoding="utf-8"))
+    document |= {"applied_transform": rows, "applied_scale": 2.0}
+    path.write_text(json.dumps(document))
+    file = read_cameras(path)
+    assert file.moved is None
+    assert "applied_transform" in file.notes[0]

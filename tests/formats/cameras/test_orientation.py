@@ -17,7 +17,7 @@ from photoreg.formats.cameras.camera_set import CameraSet
 from photoreg.formats.cameras.cameras_json import CameraFile
 from photoreg.formats.cameras.download import cameras_download
 from photoreg.formats.cameras.registry import (
-    CAMERA_FORMATS,
+    WRITTEN_FORMATS,
     read_cameras,
     write_cameras,
 )
@@ -26,8 +26,8 @@ from photoreg.geometry.camera import Camera
 from photoreg.imaging.photo import Photo
 from tests.formats.camera_files import PLACES
 
-READABLE = [name for name, f in CAMERA_FORMATS.items() if f.load is not None]
-STORED = [name for name in READABLE if CAMERA_FORMATS[name].is_of_stored_pixels]
+READABLE = [name for name, f in WRITTEN_FORMATS.items() if f.load is not None]
+STORED = [name for name in READABLE if WRITTEN_FORMATS[name].is_of_stored_pixels]
 RAN = np.random.default_rng(3).uniform(-1, 1, (6, 3)) * [0.5, 0.5, 0.2]
 """Points of the world, each a spot of its own colour in the photo."""
 

@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import struct
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,9 @@ from trimesh.exchange.gltf import export_glb
 
 from photoreg.errors import InputError
 from photoreg.formats.meshes.polygons import triangle_corners
-from photoreg.formats.meshes.read import load_mesh
+from photoreg.formats.meshes.read import MESH_SUFFIXES, load_mesh
+from photoreg.limits import Limits
+from tests.formats.photo_files import DISPLAY_P3, coded, icc_profile, png_16
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 # An L: its fan from the first corner leaves the outline.
@@ -409,7 +412,6 @@ def test_other_scenes_and_lines_are_named(tmp_path):
 
 
 def test_draco_is_decoded(tmp_path):
-    pytest.importorskip("DracoPy")
     ball = trimesh.creation.icosphere(subdivisions=2)
     plain, small = tmp_path / "plain.glb", tmp_path / "small.glb"
     plain.write_bytes(trimesh.Scene(ball).export(file_type="glb"))
@@ -418,3 +420,95 @@ def test_draco_is_decoded(tmp_path):
     assert b"draco" in small.read_bytes()
     assert len(a.faces) == len(b.faces)
     assert b.area == pytest.approx(a.area, rel=1e-3)
+
+
+def test_lines_of_an_obj_that_begin_with_no_known_word_are_told(tmp_path):
+    text = "V 9 9 9\n#c\nhello\nv 0 0 0\nv 1 0 0\nv 0 1 0\nbeer 1\nhello\nf 1 2 3\n"
+    assert obj(tmp_path, text).notes == (
+        "4 lines that begin with 'V', 'hello', 'beer' are not understood and were left "
+        "out.",
+    )
+
+
+def test_files_that_a_mesh_names_are_no_larger_than_the_limit(tmp_path):
+    (tmp_path / "m.mtl").write_bytes(b"newmtl a\n" + b"#" * 20_000)
+    (tmp_path / "m.obj").write_text(
+        "mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    )
+    (note,) = load_mesh(tmp_path / "m.obj", Limits(file_mb=0.01)).notes
+    assert note.startswith("The material file m.mtl has 0.0 MB; up to 0.01 MB are read")
+
+
+def test_the_readme_names_every_mesh_format_that_is_read_and_no_other():
+    text = (Path(__file__).parents[3] / "README.md").read_text(encoding="utf-8")
+    sentence = text.split("**Meshes**")[1].partition(";")[0]
+    assert set(re.findall(r"`(\.\w+)`", sentence)) == set(MESH_SUFFIXES)
+
+
+@pytest.mark.parametrize("precision", ["f4", "f8"])
+def test_georeferenced_coordinates_in_single_precision_are_told(tmp_path, precision):
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    vertices = (ball.vertices + np.array([4_512_345.0, 5_401_234.0, 310.0])).astype(
+        precision
+    )
+    rows = "\n".join(" ".join(map(repr, row)) for row in vertices.tolist())
+    faces = "\n".join(f"f {a} {b} {c}" for a, b, c in ball.faces + 1)
+    text = rows.replace("\n", "\nv ")
+    mesh = obj(tmp_path, f"v {text}\n{faces}\n")
+    if precision == "f8":
+        assert mesh.notes == ()
+        np.testing.assert_array_equal(mesh.vertices, vertices)
+    else:
+        assert "single precision, in steps of 0.5" in mesh.notes[0]
+
+
+def test_what_of_a_ply_is_not_read_is_told(tmp_path):
+    head = (
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+        "property float z\nproperty float quality\nelement face 1\nproperty list uchar "
+        "int vertex_indices\nproperty uchar red\nelement edge 1\nproperty int vertex1\n"
+        "end_header\n"
+    )
+    body = "0 0 0 1\n1 0 0 1\n0 1 0 1\n3 0 1 2 255\n0\n"
+    (tmp_path / "m.ply").write_text(head + body)
+    assert load_mesh(tmp_path / "m.ply").notes == (
+        "Left out of it were quality of its vertex elements, red of its face elements "
+        "and the elements edge.",
+    )
+
+
+def test_colours_of_the_faces_of_an_stl_and_of_some_vertices_of_an_obj_are_told(
+    tmp_path,
+):
+    ball = trimesh.creation.icosphere(subdivisions=0)
+    ball.export(tmp_path / "m.stl")
+    content = bytearray((tmp_path / "m.stl").read_bytes())
+    assert load_mesh(tmp_path / "m.stl").notes == ()
+    content[84 + 48] = 7
+    (tmp_path / "m.stl").write_bytes(content)
+    assert "Colours of its faces" in load_mesh(tmp_path / "m.stl").notes[0]
+    mesh = obj(tmp_path, "v 0 0 0 1 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    assert mesh.vertex_colours is None
+    assert mesh.notes[0].startswith("Only some of its vertices have colours")
+
+
+def test_textures_of_16_bits_and_in_wide_colours_have_their_colours(tmp_path):
+    colour = np.array([200, 90, 40])
+    wide = np.rint(255.0 * coded(colour / 255.0, DISPLAY_P3, None)).astype(np.uint8)
+    profile = icc_profile(DISPLAY_P3, None)
+    file = Image.fromarray(np.tile(wide, (16, 16, 1)))
+    file.save(tmp_path / "wide.png", icc_profile=profile)
+    deep = np.tile(257 * colour, (16, 16, 1)).astype(np.uint16)
+    deep[0, 0] = 65535
+    (tmp_path / "deep.png").write_bytes(png_16(deep))
+    for name in ("wide.png", "deep.png"):
+        (tmp_path / "m.mtl").write_text(f"newmtl a\nmap_Kd {name}\n")
+        mesh = obj(
+            tmp_path,
+            "mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
+            "usemtl a\nf 1/1 2/2 3/3\n",
+        )
+        assert mesh.own_texture is not None, mesh.notes
+        assert np.abs(mesh.own_texture[8, 8] - colour).max() <= 2, mesh.own_texture[
+            8, 8
+        ]

@@ -231,3 +231,37 @@ def test_normals_of_a_placed_glb_are_turned_with_it(tmp_path):
     loaded = load_mesh(tmp_path / "placed.glb")
     assert loaded.own_normals is not None
     np.testing.assert_allclose(loaded.own_normals, own @ turn[:3, :3].T, atol=1e-6)
+
+
+def soup(mesh: Mesh) -> Mesh:
+    """Each triangle with its own three vertices and normals, as in STL."""
+    vertices = mesh.vertices[mesh.faces].reshape(-1, 3)
+    faces = np.arange(len(vertices)).reshape(-1, 3)
+    normals = np.repeat(mesh.face_normals, 3, axis=0)
+    return Mesh(vertices, faces, own_normals=normals)
+
+
+def test_all_vertices_at_a_place_get_its_colour(textured):
+    """The soup's vertices have the colours of the mesh's that they are."""
+    mesh, cameras = textured.mesh, cameras_around(2)
+    photos = [photograph(mesh, c, f"photo{i}.png") for i, c in enumerate(cameras)]
+    apart = bake_texture(soup(mesh), photos, cameras, textured.config)
+    expected = vertex_colours(textured)[mesh.faces].reshape(-1, 3).astype(int)
+    error = np.abs(vertex_colours(apart) - expected)
+    # A vertex on a chart's border has the mean of its charts in the one, and its own
+    # chart's colour in the other; levels of one texel.
+    assert np.percentile(error, 95) <= 8, np.percentile(error, [50, 95, 100])
+    assert (vertex_colours(apart) == 128).all(axis=1).mean() < 0.01
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".obj", ".ply"])
+def test_vertices_at_a_place_keep_their_own_normals(tmp_path, textured, suffix):
+    apart = soup(textured.mesh)
+    cameras = cameras_around(2)
+    photos = [photograph(apart, c, f"photo{i}.png") for i, c in enumerate(cameras)]
+    baked = bake_texture(apart, photos, cameras, textured.config)
+    loaded = load_mesh(save_textured(tmp_path / f"m{suffix}", baked)[0])
+    assert loaded.own_normals is not None
+    assert apart.own_normals is not None
+    error = np.abs(loaded.own_normals[loaded.faces] - apart.own_normals[apart.faces])
+    assert error.max() < 1e-5, error.max()

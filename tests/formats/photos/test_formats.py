@@ -18,7 +18,6 @@ from photoreg.formats.photos.registry import PHOTO_FORMATS, PHOTO_SUFFIXES
 from photoreg.limits import Limits
 from tests.formats.photo_files import write_dng
 
-ROOT = Path(__file__).parents[3]
 PILLOW_NAMES = {
     ".jpg": "JPEG",
     ".png": "PNG",
@@ -302,17 +301,6 @@ def test_a_fisheye_lens_and_a_phone_s_panorama_are_refused(tmp_path):
 
 
 # The registry.
-
-
-def test_the_readme_names_every_format_that_is_read_and_no_other():
-    words = (ROOT / "README.md").read_text(encoding="utf-8")
-    table = words.split("<!-- photo formats -->")[1]
-    rows = [row.split("|")[1:3] for row in table.splitlines() if row.startswith("| ")]
-    told = {name.strip(): kinds.strip() for name, kinds in rows[1:]}
-    assert told == {
-        known.name: " ".join(f"`{suffix}`" for suffix in known.suffixes)
-        for known in PHOTO_FORMATS
-    }
 
 
 def test_the_page_and_the_command_line_take_what_is_in_the_registry():

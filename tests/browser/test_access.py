@@ -27,7 +27,12 @@ def guarded():
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PHOTOREG_MAX_FILE_MB", "1")
         page = Page(
-            session, controller, AccessControl("0.0.0.0", TOKEN), 0, shadows=False
+            session,
+            controller,
+            AccessControl("0.0.0.0", TOKEN),
+            0,
+            shadows=False,
+            surroundings=False,
         )
     yield page
     page.close()
@@ -240,7 +245,7 @@ def test_a_link_cannot_lead_the_page_to_a_foreign_server(guarded, entered):
         page.close()
 
 
-def test_in_chromium_a_wrong_token_meets_the_door_and_the_right_one_opens(
+def test_in_chromium_a_wrong_token_is_asked_for_again_and_the_right_one_opens(
     guarded, chromium
 ):
     context = chromium.new_context()

@@ -1,0 +1,204 @@
+"""The last stage of the polish: correspondences, with what colours and outlines know.
+
+Where photos differ in appearance by a little over large areas, colours pull both cameras
+along the surface together, by pixels, though the photos lie on each other within a
+fraction of one. Matched patches do not see such differences. So they lead, and
+colours and outlines add what their own scatter, and their agreement with the
+correspondences, leave of them.
+"""
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from photoreg.geometry.camera import Camera
+from photoreg.geometry.mesh import Mesh
+from photoreg.geometry.surface_view import surface_views
+from photoreg.imaging.pairs import Pair, points_of_pair, weight_of_pair
+from photoreg.imaging.photo import Photo
+from photoreg.parameters.increments import Increments
+from photoreg.polish.correspondence_term import CorrespondenceTerm
+from photoreg.polish.correspondences import find_correspondences
+from photoreg.polish.levenberg_marquardt import (
+    Damping,
+    Iterate,
+    Prior,
+    among_all,
+    minimise,
+    total,
+)
+from photoreg.polish.photometric_term import PairTerm
+from photoreg.polish.sandwich_term import SURPRISE, SandwichTerm
+from photoreg.polish.silhouette_term import RimTerm
+
+CELL_PX = 48.0
+"""Side of the cells over which errors are summed, in pixels of a photo 1,024 px wide."""
+MIN_CORRESPONDENCES = 200
+"""Fewer, over both ways, say nothing of their own noise."""
+MAX_SIGMA_PX = 1.0
+"""Matches that scatter by more all round are found by chance: those scatter by 2."""
+AGREEMENT_PX = 0.05
+"""An error of the mesh below this is told as none: matches are no better."""
+
+
+@dataclasses.dataclass(frozen=True)
+class MeshError:
+    """How far the mesh is from the surface that the photos show."""
+
+    sigma: float
+    """Standard deviation along its normal, in model units."""
+    sigma_px: float
+    """How far that moves a place along the epipolar line, in pixels."""
+
+    def in_words(self, diagonal: float) -> str:
+        """One sentence; ``diagonal`` is the mesh's, in model units."""
+        if self.sigma_px < AGREEMENT_PX:
+            return f"Scan and photos agree to less than {AGREEMENT_PX:g} px."
+        return (
+            f"Scan and photos disagree by about {self.sigma:.2g} of the scan's units along "
+            f"the surface's normal, {100.0 * self.sigma / diagonal:.2g} % of its diagonal, "
+            f"or {self.sigma_px:.2g} px in the photos."
+        )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class CorrespondenceStep:
+    """One step of the last stage."""
+
+    iterate: Iterate
+    mesh_error: MeshError
+    """In pixels of the views."""
+    warnings: tuple[str, ...]
+    """Which terms disagree beyond their noise, in sentences."""
+    scatter: Float[np.ndarray, "p p"] | None = None
+    """Of the last one only: covariance of the cost's gradient."""
+
+
+def correspondence_terms(
+    mesh: Mesh,
+    photos: Sequence[Photo],
+    cameras: Sequence[Camera],
+    increments: Sequence[Increments],
+    x: Float[np.ndarray, "p"],
+    n_patches: int,
+    min_cosine: float,
+    pairs: Sequence[Pair],
+) -> list[CorrespondenceTerm]:
+    """A term for every one of ``pairs`` in which enough is found.
+
+    Args:
+        mesh: The surface.
+        photos: All photos.
+        cameras: Their cameras at ``x``, of the size in which patches are looked for.
+        increments: Of all cameras.
+        x: Where to look.
+        n_patches: At most about so many, over all pairs and either way; see
+            ``points_of_pair``.
+        min_cosine: Least cosine between the surface's normal and the view.
+        pairs: Which photos are compared.
+    """
+    views = surface_views(mesh, cameras)
+    sides = list(zip(photos, views, strict=True))
+    terms = []
+    for i, k in pairs:
+        n = points_of_pair(n_patches, len(pairs), 0) // 2
+        ways = (
+            find_correspondences(mesh, sides[i], sides[k], n, min_cosine),
+            find_correspondences(mesh, sides[k], sides[i], n, min_cosine),
+        )
+        if sum(len(way.points) for way in ways) < MIN_CORRESPONDENCES:
+            continue
+        term = CorrespondenceTerm.measured(
+            (i, k),
+            ways,
+            (
+                (cameras[i].width, cameras[i].height),
+                (cameras[k].width, cameras[k].height),
+            ),
+            (increments[i], increments[k]),
+            x,
+            CELL_PX * cameras[i].width / 1024.0,
+            weight_of_pair(1.0, len(photos), len(pairs)),
+        )
+        if term.sigma_px <= MAX_SIGMA_PX:
+            terms.append(term)
+    return terms
+
+
+def polish_by_correspondences(
+    terms: Sequence[CorrespondenceTerm],
+    others: Sequence[PairTerm | RimTerm],
+    names: Sequence[str],
+    prior: Prior,
+    x: Float[np.ndarray, "p"],
+    damping: Damping,
+    directions: Float[np.ndarray, "p q"],
+    limits: Float[np.ndarray, "p"],
+) -> Iterator[CorrespondenceStep]:
+    """First to where correspondences alone lead, then to where all terms do.
+
+    Args:
+        terms: At least one.
+        others: Colours and outlines, with the noise of the level before.
+        names: What the photos are called.
+        prior: The pre-registration.
+        x: Where to begin.
+        damping: Of the minimisations.
+        directions: What may move.
+        limits: Of each number.
+    """
+    sigmas = [(term.mesh_sigma, term.mesh_sigma_px) for term in terms]
+    mesh_error = MeshError(*np.median(sigmas, axis=0).tolist())
+    last = None
+    leading = [term.tempered(x) for term in terms]
+    for step in minimise([prior, *leading], x, damping, directions, limits):
+        x = step.x
+        last = CorrespondenceStep(step, mesh_error, ())
+        yield last
+    trusted = [_weighed(term, x) for term in leading]
+    warnings: tuple[str, ...] = ()
+    # Colours first: what they add makes an outline that disagrees easier to tell.
+    for kind in (PairTerm, RimTerm):
+        inner = total([prior, *trusted], x).along(directions)
+        covariance = directions @ np.linalg.inv(inner.normal) @ directions.T
+        for term in [term for term in others if isinstance(term, kind)]:
+            doubted = _weighed(term, x).doubted(x, covariance)
+            if doubted.surprise < SURPRISE:
+                warnings += (_disagreement(term, names),)
+            trusted.append(doubted)
+        for step in minimise([prior, *trusted], x, damping, directions, limits):
+            x = step.x
+            last = CorrespondenceStep(step, mesh_error, warnings)
+            yield last
+    assert last is not None  # A minimisation yields its start at least.
+    # Colours and correspondences come from the same pixels and the same mesh, so their
+    # errors may be one: the variance of a sum is at most twice the sum of variances.
+    alike = [term for term in trusted if not isinstance(term.term, RimTerm)]
+    scatter = last.iterate.model.normal + total(alike, x).normal
+    yield dataclasses.replace(last, scatter=scatter)
+
+
+def _weighed(
+    term: CorrespondenceTerm | PairTerm | RimTerm, x: np.ndarray
+) -> SandwichTerm:
+    model = term.linearise(x).handy(len(x))
+    scatter = term.scatter(x)
+    if model.rows is None:
+        scatter = among_all(scatter, term.rows, len(x))
+    return SandwichTerm.measured(term, model.normal, scatter)
+
+
+def _disagreement(term: PairTerm | RimTerm, names: Sequence[str]) -> str:
+    if isinstance(term, RimTerm):
+        return (
+            f"The outline in {names[term.photo]} and what the photos show on the surface "
+            "disagree by more than their noise, so the outline counts less: the scan may "
+            "be too fat or too thin at its rim."
+        )
+    first, second = (names[i] for i in term.pair)
+    return (
+        f"The colours of {first} and {second} and their details disagree by more than "
+        "their noise, so the colours count less: the photos may differ in haze or light."
+    )

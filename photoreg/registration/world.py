@@ -1,0 +1,126 @@
+"""Whether cameras and mesh are of one world, where the photos can tell.
+
+Cameras of another program are right to some pixels in their own world, so photos agree
+over the surface there. In a world whose axes are others they may still show some of it, but
+they show unrelated places.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+from photoreg.errors import RefinementError
+from photoreg.geometry.camera import Camera
+from photoreg.geometry.mesh import Mesh
+from photoreg.geometry.unseen import guesses_by_view, share_in_view
+from photoreg.imaging.photo import Photo
+from photoreg.imaging.undistort import undistorted_photo
+from photoreg.registration.config import RegistrationConfig
+from photoreg.registration.genetic_search import shared_samples
+from photoreg.search.photo_consistency import PhotoConsistency
+
+LITTLE_IN_VIEW = 0.5
+"""Cameras that show less of the surface than this may be of another world."""
+MOST_GUESSES = 6
+"""So many other worlds are tried at most, those that show most of the surface."""
+CLEARLY = 0.5
+"""Photos agree in a world where they disagree by no more than this share of what they
+do in another one, and of chance. True cameras measured 0.001 to 0.17 of chance where the
+light is the same, rough ones 0.4 to 0.7, true ones in a wrong world mostly 0.5 to 1, and
+less on plain backgrounds and flat objects, where nothing is decided."""
+
+
+def share_of_chance(
+    mesh: Mesh, photos: Sequence[Photo], cameras: Sequence[Camera]
+) -> float:
+    """How far photos disagree over a surface, relative to unrelated ones.
+
+    1 where no two of them see enough of it.
+    """
+    config = RegistrationConfig()
+    # Trimmed, what a fifth of the points shows would be left out, which is all that is
+    # not background in a wrong world.
+    compared = dataclasses.replace(config.consistency, cost="ssd")
+    photos = [
+        undistorted_photo(photo, camera)
+        for photo, camera in zip(photos, cameras, strict=True)
+    ]
+    cameras = [camera.pinhole for camera in cameras]
+    try:
+        samples = shared_samples(mesh, cameras, config)
+    except RefinementError:
+        return 1.0
+    consistency = PhotoConsistency(samples, photos, compared)
+    cost, chance = consistency.cost_and_chance(cameras)
+    return min(1.0, cost / chance) if chance > 0.0 else 1.0
+
+
+def agree_clearly_better(disagreement: float, other: float) -> bool:
+    """Whether photos that disagree by this ``share_of_chance`` tell a world apart."""
+    return disagreement <= CLEARLY * min(1.0, other)
+
+
+def why_of_another_world(
+    mesh: Mesh, photos: Sequence[Photo], cameras: Sequence[Camera]
+) -> str | None:
+    """What is wrong with cameras that show little of the surface, if that is sure.
+
+    It is where the photos agree in another world, and not in this one. Rough cameras
+    agree in none.
+
+    Args:
+        mesh: The surface.
+        photos: The photos.
+        cameras: One camera a photo.
+
+    Returns:
+        Sentences that say so; None where nothing speaks for another world, or nothing
+        at all is in view, of which others tell.
+    """
+    share = share_in_view(mesh, cameras)
+    if not 0.0 < share < LITTLE_IN_VIEW or len(photos) < 2:
+        return None
+    guesses = guesses_by_view(mesh, cameras)[:MOST_GUESSES]
+    if not guesses:
+        return None
+    given = share_of_chance(mesh, photos, cameras)
+    if given < CLEARLY:
+        return None
+    best, sentence = 1.0, None
+    for _, guess in guesses:
+        found = share_of_chance(mesh, photos, guess.cameras_of_mesh())
+        if found < best and agree_clearly_better(found, given):
+            best, sentence = found, guess.sentence
+    if sentence is None:
+        return None
+    return (
+        f"Cameras and mesh are not of one world: {100.0 * share:.0f} % of the surface is "
+        f"in view, where the photos do not agree. {sentence}"
+    )
+
+
+def is_of_world_before(
+    mesh: Mesh,
+    photos: Sequence[Photo],
+    cameras: Sequence[Camera],
+    before: Sequence[Camera],
+) -> bool | None:
+    """Whether the mesh is of the world that cameras were in before they were moved.
+
+    Args:
+        mesh: The surface.
+        photos: The photos.
+        cameras: One camera a photo, as they stand.
+        before: The same, as they were.
+
+    Returns:
+        None where both show the surface and the photos do not tell.
+    """
+    shares = share_in_view(mesh, cameras), share_in_view(mesh, before)
+    if min(shares) < CLEARLY * max(shares):
+        return shares[1] > shares[0]
+    if len(photos) < 2:
+        return None
+    here, there = (share_of_chance(mesh, photos, each) for each in (cameras, before))
+    if agree_clearly_better(there, here):
+        return True
+    return False if agree_clearly_better(here, there) else None
