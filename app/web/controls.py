@@ -129,26 +129,35 @@ class Typed:
     """A number, or a row of them, that is typed: taken at once where it is valid.
 
     Every keystroke arrives, so a value may be refused only because it is half typed.
-    The refusal is told, and the value in force shown again, when typing has rested.
+    While somebody types, nothing is written into the control: it would undo the key
+    struck meanwhile. When typing has rested, a refusal is told, and the value in force
+    shown.
     """
 
     def __init__(self, handle: Any, take: Callable[[Typing], None]) -> None:
         self.handle = handle
         self._take = take
         self._shown: tuple[float, ...] = ()
-        self._refused: asyncio.TimerHandle | None = None
+        self._rest: asyncio.TimerHandle | None = None
         handle.on_update(guarded(self._on_update))
 
     def show(self, value: tuple[float, ...]) -> None:
-        """Shows the value in force, unless something else is being typed."""
+        """Shows the value in force, as soon as nobody types here."""
         self._shown = value
-        if self._refused is None:
+        if self._rest is None:
             put_value(self.handle, value if len(value) > 1 else sum(value))
 
     def _on_update(self, event: Any) -> None:
-        if self._refused is not None:
-            self._refused.cancel()
-            self._refused = None
+        if self._rest is not None:
+            self._rest.cancel()
+        refusal = self._refusal()
+        # On the loop, like this callback: nothing comes after the page has closed.
+        self._rest = asyncio.get_running_loop().call_later(
+            TYPING_REST_S, self._on_rest, event.client, refusal
+        )
+
+    def _refusal(self) -> str | None:
+        """Takes what is typed; the sentence that tells why not, where it is refused."""
         typed = self.handle.value
         typed = tuple(typed) if isinstance(typed, tuple | list) else (typed,)
         shown = self._shown or (None,) * len(typed)
@@ -156,20 +165,18 @@ class Typed:
             None if value == old else float(value)
             for value, old in zip(typed, shown, strict=True)
         )
-        if all(value is None for value in new):
-            return
-        try:
-            self._take(new)
-        except PhotoregError as error:
-            # On the loop, like this callback: nothing comes after the page has closed.
-            self._refused = asyncio.get_running_loop().call_later(
-                TYPING_REST_S, self._refuse, event.client, str(error)
-            )
+        if any(value is not None for value in new):
+            try:
+                self._take(new)
+            except PhotoregError as error:
+                return str(error)
+        return None
 
-    def _refuse(self, client: viser.ClientHandle, sentence: str) -> None:
-        self._refused = None
+    def _on_rest(self, client: viser.ClientHandle, refusal: str | None) -> None:
+        self._rest = None
         self.show(self._shown)
-        notify(client, "That is not possible", sentence)
+        if refusal is not None:
+            notify(client, "That is not possible", refusal)
 
 
 def notify(client: viser.ClientHandle, title: str, text: str, bad: bool = True) -> None:
