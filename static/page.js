@@ -95,6 +95,7 @@
   // viser's greys, and in its light theme its teal and red, are too faint to read.
   // In narrow panels its scrollbar would lie on the inputs, and the arrows of three numbers
   // in a row on their digits: the keyboard's arrows do the same.
+  // Where the system asks for less motion, only what a person lets blink moves by itself.
   const first = ".mantine-NumberInput-root:first-child:nth-last-child(3)";
   const triple = `:is(${first}, ${first} ~ .mantine-NumberInput-root)`;
   const style = document.createElement("style");
@@ -110,7 +111,9 @@
     --mantine-color-red-filled:#d42a2a;--mantine-color-red-filled-hover:#b82323;
     --mantine-primary-color-filled:#14857a}
   :root[data-mantine-color-scheme=light] .mantine-Button-root{
-    --mantine-primary-color-filled:#26a69a;--mantine-primary-color-filled-hover:#1d9e90}`;
+    --mantine-primary-color-filled:#26a69a;--mantine-primary-color-filled-hover:#1d9e90}
+  @media (prefers-reduced-motion:reduce){
+    :not(.before),::before,::after{animation:none!important;transition:none!important}}`;
   document.head.append(style);
 
   // viser's buttons do not show their hints: each has it as its title once it appears.

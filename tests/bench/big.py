@@ -41,7 +41,7 @@ def big(setting: Setting) -> Iterator[Metric]:
         before = _resident_mb(controller)
         browser = launch(playwright)
         window = browser.new_page(viewport={"width": 1280, "height": 800})
-        driver = Driver(window, f"http://127.0.0.1:{page.port}")
+        driver = Driver(window, f"http://127.0.0.1:{page.port}", still=False)
         driver.dismiss_toasts()
         with _Probe(page) as probe:
             began = time.perf_counter()

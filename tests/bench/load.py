@@ -350,7 +350,7 @@ class Cores:
 
 def _page(browser: Browser, address: str, number: int) -> Driver:
     window = browser.new_page(viewport={"width": 700 + 10 * number, "height": 500})
-    driver = Driver(window, address)
+    driver = Driver(window, address, still=False)
     driver.dismiss_toasts()
     return driver
 

@@ -130,7 +130,11 @@ def _moves(
 ) -> Iterator[Metric]:
     """From the wheel in one window to the state, and to the frustum in the other."""
     windows = [
-        Driver(browser.new_page(viewport={"width": 1100, "height": 700}), address)
+        Driver(
+            browser.new_page(viewport={"width": 1100, "height": 700}),
+            address,
+            still=False,
+        )
         for _ in range(2)
     ]
     for window in windows:

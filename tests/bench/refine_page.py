@@ -110,7 +110,7 @@ def refine_page(setting: Setting) -> Iterator[Metric]:
         with sync_playwright() as playwright:
             browser = launch(playwright)
             window = browser.new_page(viewport={"width": 1100, "height": 700})
-            driver = Driver(window, address)
+            driver = Driver(window, address, still=False)
             yield from _watching(session, controller, driver)
             yield from _dying(session, controller, driver)
             browser.close()

@@ -31,7 +31,7 @@ def way(setting: Setting) -> Iterator[Metric]:
     with served() as (session, controller, page), sync_playwright() as playwright:
         browser = launch(playwright)
         window = browser.new_page(viewport={"width": 1280, "height": 800})
-        driver = Driver(window, f"http://127.0.0.1:{page.port}")
+        driver = Driver(window, f"http://127.0.0.1:{page.port}", still=False)
         app = App(session, controller, page, driver)
         began = time.perf_counter()
         for step in whole_way(app, scene):

@@ -1,6 +1,7 @@
 """A browser for all tests, and the app with a page on it."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from typing import Protocol
 
 import pytest
 from playwright.sync_api import Browser, sync_playwright
@@ -11,15 +12,19 @@ from app.model.session import Session
 from app.model.state import Document, PhotoEntry, State
 from app.page.server import Page
 from tests.browser.app import App
-from tests.browser.driver import Driver, launch
+from tests.browser.driver import PANELS_WITHOUT_GL, Driver, launch
 
-OpenApp = Callable[[Document], App]
+
+class OpenApp(Protocol):
+    """Starts the app on a document and opens a window on it."""
+
+    def __call__(self, document: Document, pixel_ratio: float = 1.0) -> App: ...
 
 
 @pytest.fixture(scope="session")
 def chromium() -> Iterator[Browser]:
     with sync_playwright() as playwright:
-        browser = launch(playwright)
+        browser = launch(playwright, PANELS_WITHOUT_GL)
         yield browser
         browser.close()
 
@@ -27,12 +32,12 @@ def chromium() -> Iterator[Browser]:
 def _opening(chromium: Browser) -> Iterator[OpenApp]:
     running: list[App] = []
 
-    def start(document: Document) -> App:
+    def start(document: Document, pixel_ratio: float = 1.0) -> App:
         session = Session(State(document=document))
         controller = Controller(session, warm_up=False)
         page = Page(session, controller, port=0, shadows=False, surroundings=False)
         window = chromium.new_page(viewport={"width": 1100, "height": 700})
-        driver = Driver(window, f"http://127.0.0.1:{page.port}")
+        driver = Driver(window, f"http://127.0.0.1:{page.port}", pixel_ratio)
         running.append(App(session, controller, page, driver))
         return running[-1]
 

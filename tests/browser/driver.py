@@ -17,6 +17,14 @@ FLAGS = [
 ]
 """Software WebGL, said explicitly: no test may depend on a graphics card."""
 
+PANELS_WITHOUT_GL = "--disable-gpu-compositing"
+"""For tests: with software WebGL for the panels, too, drawing them takes half the time of
+a test. Not where the page is measured."""
+
+COARSE = 0.25
+"""Pixel ratio of the 3-D scene for tests that do not look at it: drawing it in software at
+full size would take most of their time."""
+
 _WAIT_FRAMES = """n => new Promise(done => {
   const m = __viserMutable, info = __viserTestpoints.rendererInfo.render;
   const first = info.frame;
@@ -32,7 +40,7 @@ class NoChromiumError(RuntimeError):
     """There is no Chromium to test with."""
 
 
-def launch(playwright: Playwright) -> Browser:
+def launch(playwright: Playwright, *flags: str) -> Browser:
     """Chromium with software WebGL: the system's, or playwright's own."""
     path = find_chromium()
     if path is None:
@@ -40,7 +48,7 @@ def launch(playwright: Playwright) -> Browser:
             "The browser tests need Chromium: install Debian's package `chromium`, or "
             "run `playwright install chromium`."
         )
-    return playwright.chromium.launch(executable_path=path, args=FLAGS)
+    return playwright.chromium.launch(executable_path=path, args=[*FLAGS, *flags])
 
 
 def wait_until(
@@ -60,8 +68,12 @@ def wait_until(
 class Driver:
     """One browser page on the app."""
 
-    def __init__(self, page: Page, address: str, pixel_ratio: float = 1.0) -> None:
+    def __init__(
+        self, page: Page, address: str, pixel_ratio: float = 1.0, still: bool = True
+    ) -> None:
         self.page = page
+        if still:
+            page.emulate_media(reduced_motion="reduce")
         # Else viser lowers the ratio on a slow machine while one measures.
         page.goto(f"{address}/?fixedDpr={pixel_ratio:g}")
         page.wait_for_function(

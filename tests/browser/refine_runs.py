@@ -8,7 +8,7 @@ from photoreg.synthetic.options import SceneOptions
 from photoreg.synthetic.scene import make_scene
 from tests.browser.app import App
 from tests.browser.conftest import OpenApp
-from tests.browser.driver import wait_until
+from tests.browser.driver import COARSE, wait_until
 
 
 def open_to_refine(open_app: OpenApp) -> App:
@@ -19,7 +19,9 @@ def open_to_refine(open_app: OpenApp) -> App:
     entries = tuple(map(PhotoEntry, scene.photos, scene.rough_cameras))
     names = [photo.name for photo in scene.photos]
     truth = tuple(zip(names, scene.cameras, strict=True))
-    app = open_app(Document(scene.mesh, scene.mesh.decimated(5_000), entries, truth))
+    app = open_app(
+        Document(scene.mesh, scene.mesh.decimated(5_000), entries, truth), COARSE
+    )
     app.driver.dismiss_toasts()
     app.driver.tab("3 Refine")
     return app

@@ -5,6 +5,7 @@ from playwright.sync_api import expect
 from app.model.state import Document, PhotoEntry
 from photoreg.synthetic.options import SceneOptions
 from photoreg.synthetic.scene import make_scene
+from tests.browser.driver import COARSE
 from tests.browser.refine_runs import start, to_its_end
 
 
@@ -14,7 +15,9 @@ def test_one_photo_is_refined_and_laid_over_the_surface(open_app):
     )
     photo, rough, true = scene.photos[0], scene.rough_cameras[0], scene.cameras[0]
     entries, truth = (PhotoEntry(photo, rough),), ((photo.name, true),)
-    app = open_app(Document(scene.mesh, scene.mesh.decimated(5_000), entries, truth))
+    app = open_app(
+        Document(scene.mesh, scene.mesh.decimated(5_000), entries, truth), COARSE
+    )
     window = app.driver.page
     app.driver.dismiss_toasts()
     app.driver.tab("3 Refine")
