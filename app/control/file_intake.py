@@ -33,7 +33,7 @@ from app.model.messages import (
     ReadingEvent,
     Unpacked,
 )
-from app.model.scene_files import photo_files
+from app.model.scene_files import mesh_file, photo_files
 from app.model.session import Session, setting
 from app.model.state import Document, Job, State
 from photoreg.errors import InputError, PhotoregError
@@ -287,6 +287,7 @@ class FileIntake:
             tuple(sorted((p for p in found if kind_of(p) < CAMERAS), key=kind_of)),
             self._cameras if has_cameras else None,
             photos,
+            mesh_file(self._session.state.document),
         )
         self._begin(batch, wanted, None)
 

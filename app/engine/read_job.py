@@ -37,6 +37,7 @@ from app.model.messages import (
 from app.model.scene_files import DISPLAY_FACES, first_names
 from photoreg.errors import PhotoregError
 from photoreg.formats.archives import unzipped
+from photoreg.formats.cameras.cameras_json import CameraFile
 from photoreg.formats.cameras.find import find_cameras
 from photoreg.formats.cameras.meshlab import PADDED
 from photoreg.formats.cameras.registry import format_to_read, read_cameras
@@ -44,6 +45,7 @@ from photoreg.formats.foreign import what_to_do
 from photoreg.formats.meshes.packed import PACKED_SUFFIX, belonging, pack
 from photoreg.formats.meshes.read import load_mesh
 from photoreg.formats.photos.read import load_photo
+from photoreg.registration.world import in_world_of_mesh
 
 log = logging.getLogger(__name__)
 
@@ -67,6 +69,8 @@ class ReadRequest:
     """A folder with the files of one set of cameras; read after the others."""
     photos: Mapping[str, Path]
     """Photos by name, to which cameras may belong."""
+    mesh: Path | None = None
+    """The mesh that is open, which the cameras are to look at unless another is read."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -198,7 +202,10 @@ def _read(wanted: ReadRequest) -> Iterator[ReadingEvent]:
             if place == wanted.cameras:
                 path = find_cameras(place)
                 told = path.name if path.is_file() else format_to_read(path).label
-                yield CamerasLoaded(told, read_cameras(path, photos=wanted.photos))
+                file = read_cameras(path, photos=wanted.photos)
+                if file.moved is not None:
+                    file = _in_world_of_mesh(wanted, file)
+                yield CamerasLoaded(told, file)
             elif kind_of(place) == MESH:
                 mesh = load_mesh(place)
                 title = f"Preparing {name} for display{of}"
@@ -208,6 +215,19 @@ def _read(wanted: ReadRequest) -> Iterator[ReadingEvent]:
                 yield PhotoLoaded(load_photo(place))
         yield from failures
     yield ReadAll(complete=True)
+
+
+def _in_world_of_mesh(wanted: ReadRequest, file: CameraFile) -> CameraFile:
+    meshes = [path for path in wanted.paths if kind_of(path) == MESH]
+    place = meshes[0] if meshes else wanted.mesh
+    if place is None:
+        return file
+    photos = [
+        dataclasses.replace(load_photo(path), name=name)
+        for name, path in wanted.photos.items()
+        if file.of_photo(name) is not None
+    ]
+    return in_world_of_mesh(load_mesh(place), photos, file)
 
 
 def _unpack(packed: UnpackRequest) -> Iterator[ReadingEvent]:

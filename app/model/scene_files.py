@@ -13,6 +13,7 @@ from photoreg.formats.cameras.registry import read_cameras
 from photoreg.formats.meshes.read import MESH_SUFFIXES, load_mesh
 from photoreg.formats.photos.read import load_photo
 from photoreg.formats.photos.registry import PHOTO_SUFFIXES
+from photoreg.registration.world import in_world_of_mesh
 
 DISPLAY_FACES = 150_000
 """Faces the page draws at most; WebGL in a browser takes 200,000 with ease."""
@@ -56,17 +57,19 @@ def open_folder(folder: Path) -> Document:
         )
     rough, true = folder / ROUGH_CAMERAS, folder / TRUE_CAMERAS
     if rough.exists():
-        document = with_camera_file(document, rough)
+        file = read_camera_file(document, rough)
+        document = with_cameras_of_file(document, file, rough.name)
         if true.exists():
             truth = tuple(load_cameras(true).cameras.items())
             document = dataclasses.replace(document, truth=truth)
     elif true.exists():
-        document = with_camera_file(document, true)
+        file = read_camera_file(document, true)
+        document = with_cameras_of_file(document, file, true.name)
     return document
 
 
-def open_files(paths: Sequence[Path], cameras: Path | None = None) -> Document:
-    """The scene of a mesh and photos, in any order; first cameras unless given.
+def open_files(paths: Sequence[Path]) -> Document:
+    """The scene of a mesh and photos, in any order, with first cameras.
 
     Raises:
         InputError: if there are two meshes, a file of neither kind, or an invalid one.
@@ -103,18 +106,22 @@ def open_files(paths: Sequence[Path], cameras: Path | None = None) -> Document:
         placed = tuple(entry.camera for entry in entries)
         camera = first_camera(document.mesh, photo, document.up, placed)
         entries.append(PhotoEntry(photo, camera))
-    document = dataclasses.replace(document, photos=tuple(entries))
-    return document if cameras is None else with_camera_file(document, cameras)
+    return dataclasses.replace(document, photos=tuple(entries))
 
 
-def with_camera_file(document: Document, path: Path) -> Document:
-    """The document with the cameras of a file or folder of any format.
+def read_camera_file(document: Document, path: Path) -> CameraFile:
+    """The cameras of a file or folder of any format, in the world of what is open.
+
+    It may run numba's parallel kernels: to be asked before there are other threads.
 
     Raises:
-        InputError: if they cannot be read, or do not go with the photos.
+        InputError: if they cannot be read, or are for photos of another size.
     """
     file = read_cameras(path, photos=photo_files(document))
-    return with_cameras_of_file(document, file, path.name)
+    if document.mesh is None:
+        return file
+    photos = [entry.photo for entry in document.photos]
+    return in_world_of_mesh(document.mesh, photos, file)
 
 
 def photo_files(document: Document) -> dict[str, Path]:
@@ -124,6 +131,12 @@ def photo_files(document: Document) -> dict[str, Path]:
         for entry in document.photos
         if entry.photo.source is not None and entry.photo.source.path.is_file()
     }
+
+
+def mesh_file(document: Document) -> Path | None:
+    """The file of the mesh, if it is there."""
+    source = None if document.mesh is None else document.mesh.source
+    return source.path if source is not None and source.path.is_file() else None
 
 
 def with_cameras_of_file(document: Document, file: CameraFile, name: str) -> Document:

@@ -13,7 +13,13 @@ from pathlib import Path
 
 from app.control.controller import Controller
 from app.control.projects import Projects
-from app.model.scene_files import demo_folder, open_files, open_folder, with_camera_file
+from app.model.scene_files import (
+    demo_folder,
+    open_files,
+    open_folder,
+    read_camera_file,
+    with_cameras_of_file,
+)
 from app.model.session import Session
 from app.model.state import Document
 from app.page.server import Page
@@ -151,8 +157,16 @@ def open_document(files: Sequence[Path], cameras: Path | None) -> Document:
     elif len(files) == 1 and Path(files[0]).is_dir():
         document = open_folder(Path(files[0]))
     else:
-        return open_files([Path(file) for file in files], cameras)
-    return document if cameras is None else with_camera_file(document, cameras)
+        document = open_files([Path(file) for file in files])
+    if document.mesh is not None:
+        for note in document.mesh.notes:
+            _say(f"Note: {document.mesh.name}: {note}")
+    if cameras is None:
+        return document
+    file = read_camera_file(document, cameras)
+    for note in file.notes:
+        _say(f"Note: {note}")
+    return with_cameras_of_file(document, file, cameras.name)
 
 
 def has_browser() -> bool:

@@ -46,7 +46,7 @@ from photoreg.parameters.freedom import Freedom
 from photoreg.registration.config import PresetName, RegistrationConfig
 from photoreg.registration.events import Finished, Progress
 from photoreg.registration.refinement import refine
-from photoreg.registration.world import is_of_world_before, why_of_another_world
+from photoreg.registration.world import in_world_of_mesh, why_of_another_world
 from photoreg.synthetic.options import SceneOptions
 from photoreg.synthetic.scene import make_scene, write_scene
 from photoreg.texture.bake import BakingStep, TexturedMesh, baking
@@ -272,7 +272,10 @@ def evaluate_command(
         json: Print the figures as JSON on standard output.
     """
     surface = _surface(mesh)
-    estimated, true = read_cameras(cameras).cameras, read_cameras(truth).cameras
+    estimated, true = (
+        _told(in_world_of_mesh(surface, (), read_cameras(path))).cameras
+        for path in (cameras, truth)
+    )
     if not estimated:
         raise InputError(f"{cameras.name} has no cameras.")
     missing = [name for name in estimated if name not in true]
@@ -539,31 +542,15 @@ def _load_scene(
     file = read_cameras(cameras, photos=photos_by_name(photos))
     surface = _surface(mesh)
     pictures = [load_photo(path) for path in photos]
-    file = _in_world_of(surface, pictures, file)
-    for note in file.notes:
-        _log.print(f"Note: {note}", markup=False)
+    file = _told(in_world_of_mesh(surface, pictures, file))
     return surface, pictures, file, file.of_photos(pictures)
 
 
-def _in_world_of(mesh: Mesh, photos: Sequence[Photo], file: CameraFile) -> CameraFile:
-    """Cameras that a program moved, in the one of both worlds that the mesh is of."""
-    move = file.moved
-    if move is None:
-        return file
-    given = file.of_photos(photos)
-    is_before = is_of_world_before(
-        mesh, photos, given, [move.undone(camera) for camera in given]
-    )
-    if is_before is None:
-        return file
-    cameras = file.cameras
-    told = "they are taken as they stand, for the mesh is of that world"
-    if is_before:
-        cameras = {name: move.undone(camera) for name, camera in cameras.items()}
-        told = "this was undone, for the mesh is of the world before"
-    note = f"The cameras were moved to another world when their file was made; {told}."
-    notes = (note, *(other for other in file.notes if other != move.note))
-    return dataclasses.replace(file, cameras=cameras, notes=notes, moved=None)
+def _told(file: CameraFile) -> CameraFile:
+    """Cameras whose notes were printed."""
+    for note in file.notes:
+        _log.print(f"Note: {note}", markup=False)
+    return file
 
 
 def _surface(path: Path) -> Mesh:

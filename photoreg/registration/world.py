@@ -9,6 +9,7 @@ import dataclasses
 from collections.abc import Sequence
 
 from photoreg.errors import RefinementError
+from photoreg.formats.cameras.cameras_json import CameraFile
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.unseen import guesses_by_view, share_in_view
@@ -124,3 +125,43 @@ def is_of_world_before(
     if agree_clearly_better(there, here):
         return True
     return False if agree_clearly_better(here, there) else None
+
+
+def in_world_of_mesh(
+    mesh: Mesh, photos: Sequence[Photo], file: CameraFile
+) -> CameraFile:
+    """Cameras that a program moved, in the one of both worlds that a mesh is of.
+
+    Args:
+        mesh: The surface.
+        photos: The photos; those without a camera in the file count for nothing. Where
+            there are none, all cameras of the file tell by what they show.
+        file: The cameras, as they were read.
+
+    Returns:
+        The cameras with a note of what was done; the file as it is where it tells of no
+        other world, or nothing decides.
+
+    Raises:
+        InputError: if a camera is for a photo of another size.
+    """
+    move = file.moved
+    if move is None:
+        return file
+    known = [photo for photo in photos if file.of_photo(photo.name) is not None]
+    given = file.of_photos(known) if photos else list(file.cameras.values())
+    if not given:
+        return file
+    is_before = is_of_world_before(
+        mesh, known, given, [move.undone(camera) for camera in given]
+    )
+    if is_before is None:
+        return file
+    cameras = file.cameras
+    told = "they are taken as they stand, for the mesh is of that world"
+    if is_before:
+        cameras = {name: move.undone(camera) for name, camera in cameras.items()}
+        told = "this was undone, for the mesh is of the world before"
+    note = f"The cameras were moved to another world when their file was made; {told}."
+    notes = (note, *(other for other in file.notes if other != move.note))
+    return dataclasses.replace(file, cameras=cameras, notes=notes, moved=None)

@@ -6,14 +6,17 @@ import numpy as np
 import pytest
 
 from photoreg.errors import RefinementError
+from photoreg.formats.cameras.registry import read_cameras
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.unseen import share_in_view
 from photoreg.registration.refinement import refine
 from photoreg.registration.world import (
+    in_world_of_mesh,
     is_of_world_before,
     share_of_chance,
     why_of_another_world,
 )
+from tests.moved_cameras import SCALE, TURN, write_moved
 from tests.polish_scene import make_polish_scene, moved
 
 Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
@@ -90,3 +93,26 @@ def test_of_two_worlds_the_one_that_the_mesh_is_of_is_chosen(scene):
     assert is_of_world_before(centred, photos, here, there) is False
     assert is_of_world_before(centred, photos[:1], here[:1], there[:1]) is None
     assert is_of_world_before(centred, photos, here, here) is None
+
+
+def test_a_file_of_moved_cameras_is_put_into_the_mesh_s_world_or_left_as_it_is(
+    scene, tmp_path
+):
+    names = [photo.name for photo in scene.photos]
+    before = dict(zip(names, scene.cameras, strict=True))
+    write_moved(tmp_path / "transforms.json", before)
+    file = read_cameras(tmp_path / "transforms.json")
+    assert file.moved is not None
+    # Without photos, as where cameras are measured, what is in view tells.
+    for photos in (scene.photos, ()):
+        undone = in_world_of_mesh(scene.mesh, photos, file)
+        assert "undone" in undone.notes[0]
+        assert undone.moved is None
+        for name, camera in before.items():
+            np.testing.assert_allclose(undone.cameras[name].P, camera.P, atol=1e-6)
+    vertices = SCALE * (scene.mesh.vertices @ TURN[:, :3].T + TURN[:, 3])
+    stands = in_world_of_mesh(Mesh(vertices, scene.mesh.faces), scene.photos, file)
+    assert "as they stand" in stands.notes[0]
+    assert stands.cameras == file.cameras
+    other = [dataclasses.replace(scene.photos[0], name="other.jpg")]
+    assert in_world_of_mesh(scene.mesh, other, file) is file

@@ -50,6 +50,8 @@ PERSPECTIVE = (
     "SIMPLE_RADIAL",
     "RADIAL",
 )
+DISTORTION_PARAMS = ("k1", "k2", "k3", "k4", "p1", "p2")
+"""In nerfstudio's order."""
 
 
 def save_nerfstudio(path: Path, cameras: CameraSet, overwrite: bool = False) -> Saved:
@@ -163,7 +165,7 @@ def _cameras(
             raise InputError(f'{where} should be an object with a "file_path".')
         name = photo_name(frame["file_path"])
         where = f"{where} ({name})"
-        values = {**document, **frame}
+        values = _with_named_terms({**document, **frame})
         model = values.get("camera_model", "PINHOLE")
         if model not in PERSPECTIVE:
             raise InputError(
@@ -197,6 +199,15 @@ def _cameras(
         R = OPENGL_AXES @ pose[:3, :3].T
         K = intrinsics(fx, fy, cx - 0.5, cy - 0.5)
         yield name, camera_of(where, K, R, -R @ pose[:3, 3], width, height, lens)
+
+
+def _with_named_terms(values: dict[str, Any]) -> dict[str, Any]:
+    """The same, with each of "distortion_params" by its name, which it outdoes."""
+    terms = values.get("distortion_params")
+    if not isinstance(terms, list) or len(terms) != len(DISTORTION_PARAMS):
+        return values
+    del values["distortion_params"]
+    return {**values, **dict(zip(DISTORTION_PARAMS, terms, strict=True))}
 
 
 def _photo(path: Path, file_path: str, photos: dict[str, Path]) -> Path | None:

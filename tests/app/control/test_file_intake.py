@@ -13,10 +13,16 @@ from PIL import Image
 
 from app.control.file_intake import FileIntake
 from app.engine import read_job
+from app.model.scene_files import demo_folder
 from app.model.session import Session
 from app.model.state import Document
+from app.page.main import open_document
 from photoreg.errors import InputError
+from photoreg.formats.cameras.cameras_json import load_cameras
 from photoreg.formats.meshes.read import load_mesh
+from tests.moved_cameras import write_moved
+
+DEMO = ("shell.ply", "shell-left.jpg", "shell-right.jpg")
 
 
 @pytest.fixture
@@ -132,3 +138,29 @@ def test_a_mesh_comes_with_its_materials_and_pictures_which_are_no_photos(
         assert names == ["photo.png", "new.png"]
         with pytest.raises(InputError, match=r"My Scan\.mtl describes the materials"):
             received(intake, {"My Scan.mtl": files["My Scan.mtl"]})
+
+
+def test_cameras_that_nerfstudio_moved_are_of_the_mesh_s_world_as_on_the_command_line(
+    intake, tmp_path
+):
+    demo = demo_folder()
+    files = {name: (demo / name).read_bytes() for name in DEMO}
+    true = load_cameras(demo / "cameras.json")
+    write_moved(tmp_path / "transforms.json", true.cameras)
+    moved = {"transforms.json": (tmp_path / "transforms.json").read_bytes()}
+
+    def check(document: Document) -> None:
+        assert "this was undone" in intake._session.state.note
+        for entry in document.photos:
+            want = true.cameras[entry.name]
+            np.testing.assert_allclose(entry.camera.P, want.P, atol=1e-6)
+
+    check(received(intake, {**files, **moved}))
+    received(intake, files)  # First cameras; then only the file of cameras comes.
+    check(received(intake, moved))
+    # The same from a terminal.
+    paths = [demo / name for name in DEMO]
+    document = open_document(paths, tmp_path / "transforms.json")
+    for entry in document.photos:
+        want = true.cameras[entry.name]
+        np.testing.assert_allclose(entry.camera.P, want.P, atol=1e-6)

@@ -18,7 +18,7 @@ TERMS: list[tuple[str, Any]] = [
     ("b1", 2.5),
     ("tauX", 0.01),
     ("distortion", [0.1, 0, 0, 0, 0]),
-    ("distortion_params", [0.1, 0.0, 0.0, 0.0, 0.0, 0.0]),
+    ("distortion_params", [0.1, 0.0, 0.0, 0.0]),
     ("distortion_coefficients", {"rows": 1, "cols": 5, "data": [0, 0.1, 0, 0, 0]}),
     ("distCoeffs", [[0.1, 0.0]]),
     ("dist", [0.1]),

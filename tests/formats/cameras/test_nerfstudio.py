@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from photoreg.formats.cameras.registry import read_cameras
+from photoreg.geometry.lens import Lens
 from tests.formats.camera_files import NAMES, camera_set, points_before, refused, write
+from tests.moved_cameras import write_moved
 
 
 def test_nerfstudio_looks_along_minus_z(tmp_path, photo_folder):
@@ -44,6 +46,23 @@ def test_a_fourth_radial_term_of_nerfstudio_is_refused(tmp_path, photo_folder):
     assert "undistort the photos" in refused(path)
 
 
+@pytest.mark.parametrize("of_frame", [False, True])
+def test_lens_terms_in_one_list_are_read_in_nerfstudio_s_order(
+    tmp_path, photo_folder, of_frame
+):
+    path, _ = write(tmp_path, "nerfstudio", camera_set(photo_folder))
+    document = json.loads(path.read_text(encoding="utf-8"))
+    holder = document["frames"][1] if of_frame else document
+    holder["distortion_params"] = [-0.02, 0.01, 0.003, 0.0, 0.001, -0.002]
+    path.write_text(json.dumps(document))
+    lenses = [camera.lens for camera in read_cameras(path).cameras.values()]
+    assert lenses[1] == Lens(k1=-0.02, k2=0.01, k3=0.003, p1=0.001, p2=-0.002)
+    assert lenses[0].is_ideal is of_frame
+    holder["distortion_params"][3] = 1e-3
+    path.write_text(json.dumps(document))
+    assert "(k4)" in refused(path)
+
+
 def test_poses_moved_to_another_world_and_masks_are_named(tmp_path, photo_folder):
     path, _ = write(tmp_path, "nerfstudio", camera_set(photo_folder))
     assert read_cameras(path).notes == ()
@@ -64,16 +83,8 @@ def test_poses_moved_to_another_world_and_masks_are_named(tmp_path, photo_folder
 
 def test_how_poses_were_moved_can_be_undone(tmp_path, photo_folder):
     before = camera_set(photo_folder)
-    path, _ = write(tmp_path, "nerfstudio", before)
-    document = json.loads(path.read_text(encoding="utf-8"))
-    turn = np.array([[1.0, 0, 0, 0.3], [0, 0, 1, -2.0], [0, -1, 0, 0.7]])
-    # As nerfstudio moves them: applied_transform first, then applied_scale.
-    for frame in document["frames"]:
-        pose = turn @ np.array(frame["transform_matrix"])
-        pose[:, 3] *= 2.5
-        frame["transform_matrix"] = [*pose.tolist(), [0, 0, 0, 1]]
-    document |= {"applied_transform": turn.tolist(), "applied_scale": 2.5}
-    path.write_text(json.dumps(document))
+    path = tmp_path / "transforms.json"
+    write_moved(path, before.cameras)
     file = read_cameras(path)
     assert file.moved is not None
     for name, camera in before.cameras.items():
