@@ -38,7 +38,10 @@ from photoreg.formats.photos.read import load_photo
 from photoreg.formats.writing import Content, check_outputs, check_suffix
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
-from photoreg.geometry.projection_error import projection_error
+from photoreg.geometry.projection_error import N_SAMPLES, projection_error
+from photoreg.geometry.sampling import sample_surface
+from photoreg.geometry.unseen import why_unseen
+from photoreg.geometry.visibility import seen_points
 from photoreg.imaging.pairs import pairs_in_words
 from photoreg.imaging.photo import Photo
 from photoreg.paper.reproduce import Reproduced, reproduce
@@ -290,6 +293,10 @@ def evaluate_command(
                 f"{name} is {camera.width}x{camera.height} px in {cameras.name}, but "
                 f"{true[name].width}x{true[name].height} px in {truth.name}."
             )
+    for path, found in ((truth, true), (cameras, estimated)):
+        for name in estimated:
+            if why := _why_blind(surface, found[name]):
+                raise InputError(f"The camera of {name} in {path.name} {why}")
     error = projection_error(
         surface, [true[name] for name in estimated], list(estimated.values())
     )
@@ -312,6 +319,14 @@ def evaluate_command(
     rich.console.Console(highlight=False).print(table)
     print(f"Mean projection error {error.mean:.3f} px")
     return 0
+
+
+def _why_blind(surface: Mesh, camera: Camera) -> str:
+    """Why a camera sees nothing of the surface; empty where it sees some."""
+    points = sample_surface(surface, N_SAMPLES, seed=0).points
+    if seen_points(surface, camera, points).any():
+        return ""
+    return f"sees nothing of {surface.name}. {why_unseen(surface, [camera])}"
 
 
 _FIGURES = ("mean", "rms", "median", "max")
@@ -384,6 +399,11 @@ def texture_command(
     )
     if told := _left_out(pictures, textured):
         _log.print(told)
+    for photo, camera, share in zip(
+        pictures, exact, textured.seen_share_by_photo, strict=True
+    ):
+        if share == 0.0 and (why := _why_blind(surface, camera)):
+            _log.print(f"Warning: the camera of {photo.name} {why}", markup=False)
     if json:
         _print_json(
             {

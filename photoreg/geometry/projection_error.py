@@ -10,7 +10,11 @@ from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.sampling import sample_surface
+from photoreg.geometry.unseen import why_unseen
 from photoreg.geometry.visibility import seen_points
+
+N_SAMPLES = 10_000
+"""Surface points over which errors are measured, seen or not."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,7 +55,7 @@ def projection_error(
     mesh: Mesh,
     true: Sequence[Camera],
     estimated: Sequence[Camera],
-    n_samples: int = 10_000,
+    n_samples: int = N_SAMPLES,
 ) -> ProjectionError:
     """Mean distance in pixels between projections by the true and the estimated camera.
 
@@ -79,7 +83,7 @@ class Truth:
     """True cameras, to measure others against again and again: looked through once."""
 
     def __init__(
-        self, mesh: Mesh, cameras: Sequence[Camera], n_samples: int = 10_000
+        self, mesh: Mesh, cameras: Sequence[Camera], n_samples: int = N_SAMPLES
     ) -> None:
         """The arguments and errors are those of the function ``projection_error``."""
         self.cameras = tuple(cameras)
@@ -90,8 +94,8 @@ class Truth:
             seen = points[seen_points(mesh, camera, points)]
             if len(seen) == 0:
                 raise InputError(
-                    f"True camera {number} sees nothing of {mesh.name}: the mesh and the "
-                    "camera do not belong together, or the camera looks away."
+                    f"True camera {number} sees nothing of {mesh.name}. "
+                    f"{why_unseen(mesh, [camera])}"
                 )
             self._points.append(seen)
             self._pixels.append(camera.project(seen))

@@ -1,5 +1,6 @@
 """The command line as a person meets it: words, figures, files and exit status."""
 
+import dataclasses
 import itertools
 import json
 import os
@@ -231,6 +232,31 @@ def test_cameras_that_do_not_see_the_mesh_are_refused(folder, tmp_path, capsys):
     trimesh.Trimesh(away, scene.mesh.faces, process=False).export(tmp_path / "away.ply")
     said = refused(refine_words(folder, mesh=str(tmp_path / "away.ply")), capsys)
     assert "see" in said
+
+
+def test_a_camera_that_looks_away_is_named_with_what_is_wrong(folder, tmp_path, capsys):
+    file = load_cameras(folder / "truth.json")
+    name, camera = next(iter(file.cameras.items()))
+    flip = np.diag([1.0, -1.0, -1.0])  # OpenGL's axes.
+    away = dataclasses.replace(
+        camera,
+        R_cam_world=flip @ camera.R_cam_world,
+        t_cam_world=flip @ camera.t_cam_world,
+    )
+    save_cameras(tmp_path / "away.json", file.with_cameras({name: away}))
+    mesh, wrong = str(folder / "mesh.ply"), str(tmp_path / "away.json")
+    right = str(folder / "truth.json")
+    for cameras, truth in ((wrong, right), (right, wrong)):
+        said = refused(
+            ["evaluate", mesh, "--cameras", cameras, "--truth", truth], capsys
+        )
+        assert f"The camera of {name} in away.json sees nothing of mesh.ply. " in said
+        assert "OpenGL" in said
+    words = ["texture", mesh, *photo_paths(folder), "--cameras", wrong]
+    assert run([*words, "--out", str(tmp_path / "m.ply"), "--size", "64"]) == 0
+    said = capsys.readouterr().err
+    assert f"Warning: the camera of {name} sees nothing of mesh.ply. " in said
+    assert "OpenGL" in said
 
 
 @pytest.mark.parametrize("place", ["nowhere/refined.json", "refined.txt", ""])
