@@ -127,6 +127,48 @@ def correspondence_terms(
     return terms
 
 
+def median_shift_px(
+    mesh: Mesh,
+    photos: Sequence[Photo],
+    cameras: Sequence[Camera],
+    n_patches: int,
+    min_cosine: float,
+    pairs: Sequence[Pair],
+) -> float | None:
+    """How far off the photos' details are, carried over the surface onto each other.
+
+    It tells better cameras from worse where colours drift slowly, as in haze: patches are
+    matched whatever their brightness. A patch that is not found counts as farther off than
+    all others, so that cameras gain nothing by what they no longer share.
+
+    Args:
+        mesh: The surface.
+        photos: All photos.
+        cameras: Their cameras, of the size in which patches are looked for.
+        n_patches: As for ``correspondence_terms``.
+        min_cosine: Least cosine between the surface's normal and the view.
+        pairs: Which photos are compared.
+
+    Returns:
+        The median over all patches of all pairs, in pixels of ``cameras``; None where it
+        is not found, or fewer than ``MIN_CORRESPONDENCES`` are.
+    """
+    views = surface_views(mesh, cameras)
+    sides = list(zip(photos, views, strict=True))
+    n = points_of_pair(n_patches, len(pairs), 0) // 2
+    ways = [
+        find_correspondences(mesh, sides[own], sides[other], n, min_cosine)
+        for pair in pairs
+        for own, other in (pair, pair[::-1])
+    ]
+    shifts_px = np.concatenate([way.shifts_px for way in ways])
+    if len(shifts_px) < MIN_CORRESPONDENCES:
+        return None
+    n_lost = sum(way.n_looked_for for way in ways) - len(shifts_px)
+    median = float(np.median(np.append(shifts_px, np.full(n_lost, np.inf))))
+    return median if np.isfinite(median) else None
+
+
 def polish_by_correspondences(
     terms: Sequence[CorrespondenceTerm],
     others: Sequence[PairTerm | RimTerm],

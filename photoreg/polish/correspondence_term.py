@@ -264,6 +264,7 @@ def _taken(way: Correspondences, order: np.ndarray) -> Correspondences:
     arrays: Sequence[str] = (
         "points",
         "own_px",
+        "shifts_px",
         "other_px",
         "transfer",
         "along_normal",

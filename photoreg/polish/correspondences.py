@@ -47,6 +47,8 @@ class Correspondences:
     """On the surface, world axes: what the other photo shows at ``other_px``."""
     own_px: Float[np.ndarray, "n 2"]
     """Where the own photo shows the same, in pixels of its view."""
+    shifts_px: Float[np.ndarray, "n"]
+    """How far that is from where the cameras have it."""
     other_px: Float[np.ndarray, "n 2"]
     """In pixels of the other's view."""
     transfer: Float[np.ndarray, "n 2 2"]
@@ -141,6 +143,7 @@ def find_correspondences(
     return Correspondences(
         points=points,
         own_px=centres[good] + found[:, :2],
+        shifts_px=np.hypot(found[:, 0], found[:, 1]),
         other_px=carried.other_px[index],
         transfer=transfer,
         along_normal=by_own - np.einsum("nij,nj->ni", transfer, by_other),

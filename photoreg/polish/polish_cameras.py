@@ -34,6 +34,7 @@ from photoreg.parameters.increments import Increments, free_directions
 from photoreg.polish.correspondence_stage import (
     MeshError,
     correspondence_terms,
+    median_shift_px,
     polish_by_correspondences,
 )
 from photoreg.polish.lens_decision import decided_step, let_go, step_back
@@ -44,7 +45,7 @@ from photoreg.polish.levenberg_marquardt import (
     total,
     total_scatter,
 )
-from photoreg.polish.misfit import Disagreement, disagreement
+from photoreg.polish.misfit import SIDE_PX, Disagreement, disagreement
 from photoreg.polish.photometric_term import (
     EDGE_MARGIN_PX,
     PairPoints,
@@ -669,7 +670,9 @@ def _better_end(
 ) -> PolishStep:
     """The polished cameras, or those it started from where they fit better."""
     after = disagreement(mesh, photos, latest.cameras, config.min_cosine, pairs)
-    if after.total <= before.total:
+    if is_no_worse(
+        mesh, photos, (latest.cameras, after), (cameras, before), config, pairs
+    ):
         return dataclasses.replace(
             latest, disagreement=after, start_disagreement=before
         )
@@ -686,6 +689,46 @@ def _better_end(
             "overlay is off, align them more closely, or try the preset thorough.",
         ),
     )
+
+
+def is_no_worse(
+    mesh: Mesh,
+    photos: Sequence[Photo],
+    end: tuple[Sequence[Camera], Disagreement],
+    start: tuple[Sequence[Camera], Disagreement],
+    config: PolishConfig,
+    pairs: Sequence[Pair],
+) -> bool:
+    """Whether cameras fit at least as well as those they came from.
+
+    Colours and outlines say it. Where they say no, the photos' details are asked: slow
+    differences of appearance, and a scan fat at its rim, make the right cameras look worse
+    than some pixels beside them.
+
+    Args:
+        mesh: The surface.
+        photos: All photos.
+        end: Cameras, and their ``misfit.disagreement``.
+        start: The same of those that they came from.
+        config: Settings of the polish.
+        pairs: Which photos are compared.
+    """
+    if end[1].total <= start[1].total:
+        return True
+    if not config.use_correspondences or len(photos) < 2:
+        return False
+    shift_px, before_px = (
+        median_shift_px(
+            mesh,
+            photos,
+            [camera.reduced(SIDE_PX, least_px=16) for camera in cameras],
+            config.patches,
+            config.min_cosine,
+            pairs,
+        )
+        for cameras, _ in (end, start)
+    )
+    return shift_px is not None and before_px is not None and shift_px < before_px
 
 
 def _bias_px(cameras: Sequence[Camera], terms: Sequence[PolishTerm]) -> float:

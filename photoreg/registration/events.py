@@ -85,7 +85,8 @@ class Finished:
     start_cost: float
     """Cost of the cameras given."""
     cost: float
-    """Cost of the answer, measured the same way; never above ``start_cost``."""
+    """Cost of the answer, measured the same way; above ``start_cost`` only where the photos'
+    details lie better on each other than at the start."""
     reason: str
     """Why it ended, in one sentence."""
     warnings: tuple[str, ...]

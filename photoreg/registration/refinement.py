@@ -27,7 +27,7 @@ from photoreg.parameters.freedom import Freedom
 from photoreg.parameters.genes import GeneMap
 from photoreg.polish.correspondence_stage import MeshError
 from photoreg.polish.misfit import Disagreement, against_chance, disagreement
-from photoreg.polish.polish_cameras import PolishStep, polish_cameras
+from photoreg.polish.polish_cameras import PolishStep, is_no_worse, polish_cameras
 from photoreg.polish.uncertainty import Uncertainty, estimate_uncertainty
 from photoreg.registration.checkpoint import Checkpoint, problem_digest
 from photoreg.registration.config import RegistrationConfig
@@ -476,7 +476,7 @@ class _Run:
         ]
         self.warnings += answer.warnings
         self.reason += " The polish is done."
-        if self._is_no_better(judged, fits["start"]):
+        if self._is_no_better(answer, judged, fits["start"]):
             # How sure the polish was says nothing of the start.
             expected_error_px = None
         else:
@@ -488,15 +488,40 @@ class _Run:
             expected_error_px=expected_error_px,
         )
 
-    def _is_no_better(self, answer: Disagreement, start: Disagreement) -> bool:
+    def _is_no_better(
+        self, step: PolishStep, answer: Disagreement, start: Disagreement
+    ) -> bool:
         """Whether the answer is no better than the start, which is then kept.
 
-        Only of an answer that does not convince, by what the verdict measures: the
-        polish's own measure falls at wrong ends too.
+        By the polish's own measure; and by what the verdict measures where the answer
+        does not convince: the polish's falls at wrong ends too.
         """
-        if self.verdict is None or self.verdict.is_credible:
-            return False
-        before = self._against_chance(start, self.start)
+        assert step.disagreement is not None
+        credible = self.verdict is None or self.verdict.is_credible
+        if is_no_worse(
+            self.mesh,
+            self.reduced,
+            (self.best, step.disagreement),
+            (self.start, start),
+            self.config.polish,
+            self.pairs,
+        ):
+            if credible or self._is_better(answer, start):
+                return False
+            reason = (
+                "The start was kept: with the cameras that were found, colours and "
+                "outlines fit the photos no better."
+            )
+        else:
+            reason = "Nothing better than the start was found."
+        self._keep_the_start(reason)
+        self.verdict = decide_verdict(
+            self._against_chance(start, self.start), self._names
+        )
+        return True
+
+    def _is_better(self, answer: Disagreement, start: Disagreement) -> bool:
+        """Whether what the verdict measures is better than at the start."""
         min_cosine = self.config.polish.min_cosine
         shared, shared_before = (
             share_seen_twice(self.mesh, cameras, min_cosine)
@@ -504,15 +529,11 @@ class _Run:
         )
         # One photo shares nothing, and need not.
         kept = shared / max(shared_before, 1e-9) if len(self.active) > 1 else 1.0
-        if is_better(answer, before, kept):
-            return False
+        return is_better(answer, self._against_chance(start, self.start), kept)
+
+    def _keep_the_start(self, reason: str) -> None:
         self.best, self.cost = self.start, self.start_cost
-        self.verdict = decide_verdict(before, self._names)
-        self.reason = (
-            "The start was kept: with the cameras that were found, colours and outlines "
-            "fit the photos no better."
-        )
-        return True
+        self.reason = reason
 
     def _against_chance(
         self, fit: Disagreement, cameras: Sequence[Camera]
@@ -576,9 +597,8 @@ class _Run:
                 self.warnings.append(ONE_PHOTO_SEARCHED)
             self.start_cost = search.agreement.cost(self.start)
             self.cost = search.agreement.cost(self.best)
-        if not self.cost <= self.start_cost:
-            self.best, self.cost = self.start, self.start_cost
-            self.reason = "Nothing better than the start was found."
+            if not self.cost <= self.start_cost:
+                self._keep_the_start("Nothing better than the start was found.")
         if self.verdict is not None and not self.verdict.is_credible:
             self.warnings.insert(0, self.verdict.sentence)
         # The search cannot leave its box; the polish can, and by less than half an

@@ -10,7 +10,8 @@ from photoreg.errors import InputError
 from photoreg.geometry.mesh import Mesh
 from photoreg.parameters.freedom import Freedom, Held
 from photoreg.polish.correspondence_stage import MeshError
-from photoreg.polish.polish_cameras import PolishConfig, polish_cameras
+from photoreg.polish.misfit import Disagreement
+from photoreg.polish.polish_cameras import PolishConfig, is_no_worse, polish_cameras
 from photoreg.polish.uncertainty import estimate_uncertainty
 from tests.polish_scene import make_polish_scene, projection_error_px
 
@@ -157,3 +158,20 @@ def test_the_number_of_threads_changes_no_bit(nearby, polished):
 def test_impossible_settings_are_refused(wrong):
     with pytest.raises(InputError, match=next(iter(wrong))):
         PolishConfig(**wrong)
+
+
+def test_details_decide_where_colours_and_outlines_speak_against_better_cameras(nearby):
+    fit, worse_fit = (Disagreement({(0, 1): c}, {}, (c, c)) for c in (0.1, 0.2))
+    right, off = nearby.cameras, nearby.rough
+    pairs = [(0, 1)]
+
+    def no_worse(photos, end, start):
+        return is_no_worse(nearby.mesh, photos, end, start, FINE, pairs)
+
+    assert no_worse(nearby.photos, (right, worse_fit), (off, fit))
+    assert not no_worse(nearby.photos, (off, worse_fit), (right, fit))
+    assert no_worse(nearby.photos, (off, fit), (right, worse_fit)), "nothing against it"
+    rng = np.random.default_rng(1)
+    noise = rng.integers(0, 256, nearby.photos[1].pixels.shape, dtype=np.uint8)
+    lost = (nearby.photos[0], dataclasses.replace(nearby.photos[1], pixels=noise))
+    assert not no_worse(lost, (right, worse_fit), (off, fit)), "no details to ask"
