@@ -191,6 +191,43 @@ def obj_cases() -> Iterator[Case]:
         ("letters beyond ASCII", "map_Kd Häutung.png", "Häutung.png"),
     ):
         yield Case(f"MTL: {what}", "m.obj", textured(line, name), full)
+    for option in ("-s 2 2 1", "-o 0.1 0.2 0", "-t 0.5", "-mm 0.2 0.5"):
+        yield Case(
+            f"MTL: a texture with {option}",
+            "m.obj",
+            textured(f"map_Kd -clamp on {option} t.png"),
+            "texture coordinates",
+            "scales, shifts or fades a texture",
+        )
+    for key, light in (("map_Ka", "ambient"), ("map_Ke", "emitted")):
+        yield Case(
+            f"MTL: a texture of {light} light only",
+            "m.obj",
+            textured(f"{key} t.png"),
+            "texture coordinates",
+            "t.png is no picture of the surface's colours",
+        )
+    two = ["mtllib m.mtl", *vertices, "usemtl a", *faces[:2], "usemtl b", *faces[2:]]
+    kinds = {"m.mtl": b"newmtl a\nKd 1 0 0\nnewmtl b\nKd 0 1 0\n"}
+    yield Case(
+        "MTL: a colour for each material",
+        "m.obj",
+        beside("", "\n".join(two).encode(), kinds),
+        SOUND,
+        "materials (Kd) were left out",
+    )
+    for word in ("-1.#IND", "1.#QNAN", "-nan(ind)", "1,5", "1.0D0"):
+        yield case(
+            f"a vertex at {word}", [f"v 0 0 {word}", *vertices[1:], *faces], "words"
+        )
+    yield case("comments behind numbers", [f"{line} # it" for line in lines])
+    yield Case(
+        "OBJ: ZBrush's colours in comments",
+        "m.obj",
+        obj() + b"#MRGB ffff0000ff00ff00ff0000ffffffffff\n",
+        SOUND,
+        "'#MRGB'",
+    )
     yield Case(
         "MTL: a picture in a format that is no picture",
         "m.obj",
@@ -452,6 +489,49 @@ def glb_cases() -> Iterator[Case]:
         lambda d: d.update(extensionsUsed=["EXT_mesh_gpu_instancing"]),
         "instancing",
     )
+    for extension in ("KHR_node_visibility", "MSFT_lod", "MADE_UP_extension"):
+        yield Case(
+            f"GLB: uses {extension}, which is not required",
+            "m.glb",
+            glb(change=lambda d, e=extension: d.update(extensionsUsed=[e])),
+            SOUND,
+            f"It uses {extension} of glTF",
+        )
+    yield case(
+        "a centre of its own",
+        lambda d: d.update(
+            extensionsUsed=["CESIUM_RTC"],
+            extensions={"CESIUM_RTC": {"center": [1e6, 2e6, 3e6]}},
+        ),
+        "centre of its own",
+    )
+    yield case(
+        "morph targets of a node",
+        lambda d: d["nodes"][0].update(weights=[0.0, 0.5]),
+        "morph targets",
+    )
+    red, blue = (
+        {"pbrMetallicRoughness": {"baseColorFactor": [*rgb, 1.0]}}
+        for rgb in ([1.0, 0.0, 0.0], [0.0, 0.0, 1.0])
+    )
+    tinted = {
+        "pbrMetallicRoughness": {
+            "baseColorFactor": [0.2, 0.2, 0.2, 1.0],
+            "baseColorTexture": {"index": 0},
+        }
+    }
+    for what, materials, told in (
+        ("a colour for each material", [red, blue], "(baseColorFactor) were left out"),
+        ("a tinted texture", [tinted], "tint textures"),
+        ("a glowing texture", [{"emissiveTexture": {"index": 0}}], "emitted light"),
+    ):
+        yield Case(
+            f"GLB: {what}",
+            "m.glb",
+            glb(change=lambda d, m=materials: d.update(materials=m)),
+            SOUND,
+            told,
+        )
     yield case("a skin", lambda d: d["nodes"][0].update(skin=0), "skeleton")
     yield case(
         "morph targets", lambda d: d["meshes"][0].update(weights=[0.5]), "morph targets"

@@ -39,6 +39,8 @@ class Case:
     """Its bytes, or what makes it, and what lies beside it, in a folder."""
     expected: str
     """A part of the sentence, or of the description of what was read."""
+    told: str = ""
+    """A part of what is told beside, where it is read."""
 
 
 def read(case: Case, folder: Path) -> Any:

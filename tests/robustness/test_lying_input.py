@@ -28,17 +28,21 @@ from tests.robustness.lying_photos import photo_cases
 TABLES = Path(__file__).parents[2] / "build" / "lying-input"
 
 
-def got(case: Case, folder: Path) -> str:
+def got(case: Case, folder: Path) -> tuple[str, str]:
+    """What a case gets, and what is told beside."""
     try:
-        return described(read(case, folder))
+        value = read(case, folder)
+        return described(value), " ".join(getattr(value, "notes", ()))
     except PhotoregError as error:
-        return str(error).replace(f"{folder}/", "")
+        return str(error).replace(f"{folder}/", ""), ""
     except Exception as error:  # noqa: BLE001 - this is what the test is about.
-        return f"CRASH {type(error).__name__}: {error}"
+        return f"CRASH {type(error).__name__}: {error}", ""
 
 
-def faults(case: Case, answer: str) -> str | None:
+def faults(case: Case, answer: str, told: str) -> str | None:
     """What is wrong with an answer; None if nothing is."""
+    if case.told not in told:
+        return f"expected {case.told!r} to be told"
     if answer.startswith("CRASH"):
         return "not a sentence of photoreg"
     if (
@@ -76,11 +80,12 @@ def test_every_lie_gets_a_sentence_or_is_read_right(
         # Two levels down, so that files above it lie within the test's folder.
         folder = tmp_path / str(number) / "in"
         folder.mkdir(parents=True)
-        answer = got(case, folder)
-        rows.append(f"| {case.name} | {case.what} | {answer} |".replace("\n", " "))
-        fault = faults(case, answer)
+        answer, told = got(case, folder)
+        cells = case.name, case.what, f"{answer}. {told}" if told else answer
+        rows.append(f"| {' | '.join(cells)} |".replace("\n", " "))
+        fault = faults(case, answer, told)
         if fault:
-            wrong.append(f"{case.name}, {case.what}: {fault}; got: {answer}")
+            wrong.append(f"{case.name}, {case.what}: {fault}; got: {answer} {told}")
     TABLES.mkdir(parents=True, exist_ok=True)
     table = ["| file | what is wrong | what one gets |", "|---|---|---|", *rows]
     (TABLES / f"{kind}.md").write_text("\n".join(table) + "\n", encoding="utf-8")

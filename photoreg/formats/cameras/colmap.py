@@ -12,6 +12,7 @@ References:
 import dataclasses
 import io
 import math
+import re
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -66,6 +67,9 @@ ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 TWO_FOCALS = ("PINHOLE", "OPENCV", "FULL_OPENCV")
 SUBFOLDERS = (".", "sparse/0", "sparse", "0")
 """Where, in the folder of a project, COLMAP keeps its model."""
+
+_POINTS = re.compile(r"[-+.\deEinfa\s]*")
+"""What a line of points is made of."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -231,7 +235,13 @@ def _text_images(folder: Path) -> Iterator[_Image]:
         pose = numbers(words[1:8], 7, where, "the pose")
         lens = whole(words[8], where, "the camera's number")
         yield _Image(words[9], pose[:4], pose[4:], lens, where)
-        next(lines, None)  # The image's points, an empty line if it has none.
+        # The image's points, x y and a number each; an empty line if it has none.
+        where, points = next(lines, (where, ""))
+        if _POINTS.fullmatch(points[-100:]) is None or len(points.split()) % 3 != 0:
+            raise InputError(
+                f"{where} should be the points of {words[9]}, three numbers each, or an "
+                f"empty line, but is {points!r:.60}. COLMAP has two lines an image."
+            )
 
 
 def _binary_images(folder: Path) -> Iterator[_Image]:

@@ -28,6 +28,7 @@ from photoreg.formats.meshes.contents import MeshContents, Picture
 from photoreg.formats.meshes.headers import check_counts
 from photoreg.limits import Limits
 from photoreg.sources import read_regular
+from photoreg.words import listed
 
 _TYPES = {
     5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32,
@@ -54,7 +55,16 @@ _CHANGES_GEOMETRY = {
     "KHR_meshopt_compression": "is compressed by meshopt; export it without, or convert "
     "it with: gltf-transform copy IN.glb OUT.glb",
     "KHR_gaussian_splatting": "holds splats, not a surface; export a mesh",
+    "CESIUM_RTC": "is placed about a centre of its own (CESIUM_RTC); apply it",
 }
+_NEVER_OPTIONAL = ("EXT_mesh_gpu_instancing", "CESIUM_RTC")
+"""Of these, those that change geometry also where the file does not require them."""
+_WITH_A_FALLBACK = (
+    "KHR_draco_mesh_compression",
+    "KHR_texture_basisu",
+    "EXT_texture_avif",
+)
+"""Extensions beside which a file that does not require them holds what plain readers want."""
 
 
 def read_glb(path: Path, limits: Limits) -> MeshContents:
@@ -66,7 +76,7 @@ def read_glb(path: Path, limits: Limits) -> MeshContents:
     document, body = _chunks(path)
     _check_features(path.name, document)
     plain = _Plain(path.name, document, body)
-    notes = plain.make()
+    notes = [*_left_out(document), *plain.make()]
     scene: Any = trimesh.load_scene(
         io.BytesIO(plain.file()),
         file_type="glb",
@@ -106,7 +116,7 @@ def _check_features(name: str, document: dict[str, Any]) -> None:
     required = document.get("extensionsRequired", [])
     used = [*required, *document.get("extensionsUsed", [])]
     for extension, what in _CHANGES_GEOMETRY.items():
-        is_meant = extension in (used if "instancing" in extension else required)
+        is_meant = extension in (used if extension in _NEVER_OPTIONAL else required)
         if is_meant:
             raise InputError(f"{name} {what} in the program that made it.")
     for extension in required:
@@ -127,12 +137,43 @@ def _check_features(name: str, document: dict[str, Any]) -> None:
             f"{name} is posed by a skeleton (skin). Apply the pose in the program that "
             "made it, and export it again without."
         )
-    for mesh in document.get("meshes", []):
-        if any(mesh.get("weights", [])):
+    # A node's weights stand in for its mesh's.
+    for formed in (*document.get("meshes", []), *document.get("nodes", [])):
+        if any(formed.get("weights", [])):
             raise InputError(
                 f"{name} is formed by morph targets. Apply them in the program that "
                 "made it, and export it again without."
             )
+
+
+def _left_out(document: dict[str, Any]) -> list[str]:
+    """What a document says of place and colours that is not read, a sentence each."""
+    notes = []
+    unread = [
+        str(extension)[:60]
+        for extension in document.get("extensionsUsed", [])
+        if extension not in (*_READ, *_CHANGES_GEOMETRY, *_WITH_A_FALLBACK)
+        and not str(extension).startswith(_OF_LIGHT)
+    ]
+    if unread:
+        notes.append(f"It uses {listed(unread)} of glTF, which photoreg does not read.")
+    factors = set()
+    for material in document.get("materials", []):
+        colour = material.get("pbrMetallicRoughness", {})
+        factor = tuple(colour.get("baseColorFactor", (1.0, 1.0, 1.0))[:3])
+        factors.add(factor if "baseColorTexture" not in colour else ())
+        if "baseColorTexture" in colour and factor != (1.0, 1.0, 1.0):
+            notes.append(
+                "Its materials tint textures (baseColorFactor), which was left out."
+            )
+        if "emissiveTexture" in material and "baseColorTexture" not in colour:
+            notes.append(
+                "A texture of emitted light (emissiveTexture) was left out; make it the "
+                "base colour to keep it."
+            )
+    if len(factors - {()}) > 1:
+        notes.append("The colours of its materials (baseColorFactor) were left out.")
+    return list(dict.fromkeys(notes))
 
 
 class _Plain:

@@ -32,8 +32,14 @@ _KNOWN = (
 )
 """Words that a line may begin with; others are told."""
 
-_COMMENT = re.compile(rb"(?m)^([ \t]*(?:v|vt|vn|f)[ \t][^#\r\n]*)#[^\r\n]*")
-"""A comment behind numbers, which tinyobjloader does not expect."""
+_COMMENT = re.compile(rb"(?m)^([ \t]*(?:v|vt|vn|f)[ \t][^#\r\n]*)(?<=[ \t])#[^\r\n]*")
+"""A comment behind numbers, which tinyobjloader does not expect. It begins a word: what
+MSVC writes for what is no number (-1.#IND, 1.#QNAN) has none in it."""
+
+_MOVED_TEXTURE = re.compile(r"\s-(?:s|o|t|mm)\s+(?:-?[\d.]+(?:[eE][-+]?\d+)?\s+)+")
+"""Options of a texture in an MTL file that scale, shift, disturb or fade it."""
+_UNMOVED = {"s": {1.0}, "o": {0.0}, "t": {0.0}, "mm": {0.0, 1.0}}
+"""Their numbers where they do nothing."""
 
 
 @dataclasses.dataclass
@@ -46,7 +52,8 @@ class _Lines:
     curved: str = ""
     n_lines_and_points: int = 0
     unknown: dict[bytes, int] = dataclasses.field(default_factory=dict)
-    """Words that nothing is known of, and how many lines begin with each."""
+    """Words that are not read, and how many lines begin with each: ZBrush's colours of
+    vertices among them, which stand in comments."""
 
 
 def read_obj(path: Path, limits: Limits) -> MeshContents:
@@ -107,6 +114,7 @@ def read_obj(path: Path, limits: Limits) -> MeshContents:
     if uv is not None:
         pictures, face_picture, picture_notes = _pictures(path, reader, meshes, limits)
         notes += picture_notes
+    notes += _left_out_of_materials(reader, meshes, bool(pictures))
     if face_picture is not None:
         face_picture = face_picture[polygon]
     if lines.n_lines_and_points:
@@ -146,7 +154,7 @@ def _lines(text: bytes) -> _Lines:
             found.n_lines_and_points += 1
         elif key in _CURVED:
             found.curved = found.curved or key.decode()
-        elif key not in _KNOWN and not key.startswith(b"#"):
+        elif key == b"#MRGB" or (key not in _KNOWN and not key.startswith(b"#")):
             found.unknown[key] = found.unknown.get(key, 0) + 1
     return found
 
@@ -157,7 +165,7 @@ def _vertices(
     """Positions, colours where every vertex has some, and what was left out."""
     if not rows:
         return np.zeros((0, 3)), None, []
-    widths = {len(row.partition(b"#")[0].split()) for row in rows}
+    widths = {len(row.split()) for row in rows}
     try:
         if len(widths) == 1:
             (width,) = widths
@@ -165,7 +173,7 @@ def _vertices(
             table = table.reshape(len(rows), width)
         else:
             width = min(widths)
-            split = [row.partition(b"#")[0].split()[:width] for row in rows]
+            split = [row.split()[:width] for row in rows]
             table = np.array(split, dtype=np.float64)
     except ValueError as error:
         raise InputError(
@@ -216,7 +224,26 @@ def _material_text(
         else:
             files = [found]
         texts += [read_regular(file).decode("utf-8", "replace") for file in files]
-    return "\n".join(texts).replace("\ufeff", ""), notes
+    text = "\n".join(texts).replace("\ufeff", "")
+    moved = [line for line in text.splitlines() if _moves_texture(line)]
+    for line in dict.fromkeys(moved):
+        notes.append(
+            f"Its material file scales, shifts or fades a texture ({_one_line(line)}), which "
+            "programs read differently, so it was read without it. Apply that to the "
+            "texture coordinates, or to the picture."
+        )
+        text = text.replace(line, "")
+    return text, notes
+
+
+def _moves_texture(line: str) -> bool:
+    if line.split(None, 1)[:1] != ["map_Kd"]:
+        return False
+    for option in _MOVED_TEXTURE.findall(line):
+        key, *numbers = option.split()
+        if not {float(number) for number in numbers} <= _UNMOVED[key.removeprefix("-")]:
+            return True
+    return False
 
 
 def _joined(parts: Iterable[Any]) -> np.ndarray:
@@ -278,6 +305,30 @@ def _pictures(
             of_material[i] = len(pictures)
             pictures.append(np.full((8, 8, 3), plain[i], dtype=np.uint8))
     return pictures, np.array([*of_material, -1])[of_face], notes
+
+
+def _left_out_of_materials(
+    reader: Any, meshes: list[Any], has_pictures: bool
+) -> list[str]:
+    """What the materials in use say of colours that is not read."""
+    known = reader.GetMaterials()
+    used = [
+        known[i]
+        for i in np.unique(_joined(mesh.material_ids for mesh in meshes))
+        if 0 <= i < len(known)
+    ]
+    notes = []
+    for material in used:
+        others = material.ambient_texname, material.emissive_texname
+        name = next((other for other in others if other), "")
+        if name and not material.diffuse_texname:
+            notes.append(
+                f"The texture {name} is no picture of the surface's colours (map_Kd), but of "
+                "ambient or emitted light, and was left out."
+            )
+    if not has_pictures and len({tuple(m.diffuse) for m in used}) > 1:
+        notes.append("The colours of its materials (Kd) were left out.")
+    return notes
 
 
 def _unknown_note(unknown: dict[bytes, int]) -> str:

@@ -51,6 +51,17 @@ def colmap_text(folder: Path, camera: str, name: str = "a/b/one photo.jpg") -> P
     return folder
 
 
+@pytest.mark.parametrize("name", ["a.jpg", "a photo of it.jpg", "7 8"])
+def test_images_without_lines_of_points_do_not_swallow_each_other(tmp_path, name):
+    folder = colmap_text(tmp_path / "m", "PINHOLE 100 80 120 120 49.5 41.5", "z.jpg")
+    text = (folder / "images.txt").read_text()
+    text = text.replace("10.5 20.5 -1 30 40 12\n", "").replace("two.jpg", name)
+    (folder / "images.txt").write_text(text)
+    said = refused(folder)
+    assert "should be the points of z.jpg" in said
+    assert "two lines an image" in said
+
+
 @pytest.mark.parametrize(
     "camera",
     [
