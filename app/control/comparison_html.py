@@ -3,7 +3,7 @@
 import base64
 
 from app.model.markup import escaped
-from app.model.messages import PhotoComparison
+from app.model.pictures import PhotoComparison
 from photoreg.overlay.disagreement_map import TOP_LEVELS
 
 SWIPE_STYLE = """<style>

@@ -8,8 +8,6 @@ import logging
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
 from app.control.file_intake import FileIntake
 from app.control.projects import Projects
 from app.control.resection_solver import ResectionSolver
@@ -17,14 +15,13 @@ from app.control.run_control import RunControl, must_be_idle
 from app.engine.client import Worker
 from app.model import reducers
 from app.model import session as rules
-from app.model.failures import log_failure
+from app.model.failures import UNFORESEEN, log_failure
 from app.model.messages import (
     SPARE_TIME,
     Bake,
     Baked,
     BakingStopped,
     Checked,
-    Compared,
     Died,
     Download,
     DrawOverlay,
@@ -34,7 +31,6 @@ from app.model.messages import (
     Measured,
     MeasureReach,
     Pack,
-    Picture,
     Reached,
     Ready,
     Refine,
@@ -48,9 +44,10 @@ from app.model.messages import (
     Watch,
     Working,
 )
+from app.model.pictures import Compared, Picture
 from app.model.scene_files import demo_folder, open_folder
 from app.model.session import Session
-from app.model.state import Document, Job, State
+from app.model.state import Document, Job, Notice, State
 from app.model.wanted_pictures import (
     needs_overlay,
     next_comparison,
@@ -80,20 +77,6 @@ class Controller:
         self.projects = projects if projects is not None else Projects(session)
         self.pictures = PhotoServer()
         """What pages fetch."""
-        self.picture: bytes | None = None
-        """The newest overlay, a JPEG file; of a blink the photo whose turn it is."""
-        self.drawn: Picture | None = None
-        """The newest pictures of the worker, all of them."""
-        self.surface_glb: bytes | None = None
-        """The newest state of the surface in a run, a GLB file in page axes."""
-        self.cloud: np.ndarray | None = None
-        """Camera centres of the population of a search that runs, (n, c, 3)."""
-        self.on_picture: Callable[[], None] = lambda: None
-        self.on_surface: Callable[[], None] = lambda: None
-        self.on_problem: Callable[[str, str], None] = _ignore
-        """Called with a title and a sentence for everybody who looks at the page."""
-        self.on_failure: Callable[[str, Exception], None] = log_failure
-        """Called with what failed, and how, where nobody foresaw it."""
         self._scene_sent: Document | None = None
         self._reach_asked: MeasureReach | None = None
         self._is_watched = True
@@ -203,14 +186,6 @@ class Controller:
                 self._is_watched = on
                 self.worker.send(Watch(on))
 
-    def blink(self) -> None:
-        """Shows the other picture of a blink, if there is one."""
-        drawn = self.drawn
-        if drawn is not None and drawn.other_jpeg is not None:
-            is_first = self.picture is drawn.jpeg
-            self.picture = drawn.other_jpeg if is_first else drawn.jpeg
-            self.on_picture()
-
     # What the worker reports.
 
     def _hear(self, event: Event) -> None:
@@ -220,31 +195,31 @@ class Controller:
             self._fail(type(event).__name__, error)
 
     def _fail(self, what: str, error: Exception) -> None:
-        self.on_failure(what, error)
+        log_failure(what, error)
+        try:
+            self._tell("That did not work", UNFORESEEN)
+        except Exception:
+            # Somebody who listens has failed, perhaps with this very error.
+            log.exception("A change was not followed")
 
     def _on_event(self, event: Event) -> None:
         match event:
             case Ready():
                 self._set(worker="")
             case Live():
-                self.cloud = event.centers
                 self.session.change(None, lambda state: reducers.advanced(state, event))
             case SearchKept():
                 self._set(kept_search=event.kept)
             case Picture():
-                self.picture, self.drawn = event.jpeg, event
-                self.session.change(None, lambda state: reducers.measured(state, event))
-                self.on_picture()
+                self.session.change(None, lambda state: reducers.pictured(state, event))
             case Measured():
                 self._set(agreement=event.agreement)
             case SurfaceDrawn():
-                self.surface_glb = event.glb
-                self.on_surface()
+                self._set(surface_glb=event.glb)
             case Refined():
                 self.session.change(None, lambda state: reducers.ended(state, event))
             case Compared():
-                self.refinement.comparison = event
-                self.on_picture()
+                self._set(comparison=event)
             case Checked():
                 self.session.change(None, lambda state: reducers.checked(state, event))
             case Reached():
@@ -278,9 +253,9 @@ class Controller:
         if event.job == Refine.__name__:
             what, rest = "The refinement", self._break_off("The refinement failed")
         if event.details:
-            self.on_problem(f"{what} was cut short", f"{event.message} {rest}")
+            self._tell(f"{what} was cut short", f"{event.message} {rest}")
         else:
-            self.on_problem(f"{what} failed", event.message)
+            self._tell(f"{what} failed", event.message)
 
     def _on_death(self, event: Died) -> None:
         log.error("The worker process died (exit code %s)", event.exit_code)
@@ -296,7 +271,7 @@ class Controller:
             what, rest = state.job.title, NOTHING_CHANGED
         else:
             return
-        self.on_problem(
+        self._tell(
             f"{what} was cut short",
             f"The engine process died. It is being started again. {rest}",
         )
@@ -315,9 +290,11 @@ class Controller:
 
     def _follow(self, old: State, new: State) -> None:
         """Keeps the pictures up to date with the cameras and the choices."""
-        self._follow_review(old, new)
-        if not new.document.shows_same_as(old.document):
-            self.picture = self.drawn = None
+        wanted = next_comparison(old, new)
+        if wanted is not None:
+            with self._lock:
+                self._send_scene(new.document)
+                self.worker.send(wanted)
         if new.run.is_active:
             if wanted_view(new) != wanted_view(old):
                 self.worker.send(wanted_view(new))
@@ -339,18 +316,6 @@ class Controller:
             truth = new.document.true_cameras(names)
             self.worker.send(DrawOverlay(shown_cameras(new), wanted_view(new), truth))
 
-    def _follow_review(self, old: State, new: State) -> None:
-        """Has a run that waits for a decision drawn beside what it is compared with."""
-        if new.run.status != "review":
-            if old.run.status == "review":
-                self.refinement.comparison = None
-            return
-        wanted = next_comparison(old, new)
-        if wanted is not None:
-            with self._lock:
-                self._send_scene(new.document)
-                self.worker.send(wanted)
-
     def _send_scene(self, document: Document) -> None:
         """Sends what of the scene the worker does not have yet."""
         sent = self._scene_sent
@@ -368,7 +333,7 @@ class Controller:
         self._scene_sent = document
 
     def _tell(self, title: str, sentence: str) -> None:
-        self.on_problem(title, sentence)
+        self._set(notice=Notice(title, sentence))
 
     def _set(self, **values: Any) -> None:
         self.session.change(None, rules.setting(**values))
@@ -376,7 +341,3 @@ class Controller:
 
 def _drop(_name: str, _content: bytes) -> None:
     """Nobody has asked for a file."""
-
-
-def _ignore(_title: str, _sentence: str) -> None:
-    """Nobody is there to be told."""

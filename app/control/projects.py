@@ -12,7 +12,7 @@ from app.control.project_reading import ProjectReader, check_document
 from app.model.run import Run
 from app.model.scene_files import first_names
 from app.model.session import Session, setting
-from app.model.state import Document, Job
+from app.model.state import Document, Job, WaitingProject
 from photoreg.errors import InputError, OutputError, PhotoregError, RefinementError
 from photoreg.project.check import CheckedProject
 from photoreg.project.files import FileProblem
@@ -50,10 +50,8 @@ class Projects:
         self._reader = ProjectReader()
         self._read = read or self._reader.read
         self.current: Project | None = None
-        self.pending: Project | None = None
-        """A project that waits until its files are found; see ``problems``."""
-        self.problems: list[FileProblem] = []
-        self.on_change: Callable[[], None] = lambda: None
+        self._pending: Project | None = None
+        """What ``State.waiting`` tells of."""
         self._autosave: Autosave | None = None
         self._log: logging.Handler | None = None
         self._access = threading.Lock()
@@ -99,8 +97,11 @@ class Projects:
         self._session.begin(document)
         self._session.change(None, setting(saving=NOT_KEPT))
 
-    def open(self, folder: Path | str) -> None:
+    def open(self, folder: Path | str) -> WaitingProject | None:
         """Opens an existing project, or asks first about files that are not as they were.
+
+        Returns:
+            What it asks about; None: it is open.
 
         Raises:
             InputError: if there is none or it cannot be read.
@@ -117,16 +118,16 @@ class Projects:
                 folder, DOCUMENT_TYPES, create=False, loaded=checked.loaded
             )
             try:
-                self.problems = list(checked.problems)
-                if self.problems:
-                    self.pending = project
-                    return
+                if checked.problems:
+                    self._pending = project
+                    return self._ask(project, checked.problems)
                 document = _read(project)
                 self._take_up(project)
                 del document
             finally:
-                if project not in (self.pending, self.current):
+                if project not in (self._pending, self.current):
                     project.close()
+        return None
 
     def locate(self, problem: FileProblem, path: Path | str, changed: bool) -> None:
         """Says where a file of the pending project is now; opens it with the last.
@@ -134,7 +135,7 @@ class Projects:
         Other files that are missing are looked for in the same folder.
 
         Args:
-            problem: Which of ``problems``.
+            problem: One of those that ``State.waiting`` tells of.
             path: Where it is; a folder: in it, under its old name.
             changed: Take it although its content is another.
 
@@ -154,10 +155,12 @@ class Projects:
                 problems = project.file_problems()
                 document = None if problems else self._read_moved(project, show)
                 show(title)
-            self.problems = problems
-            if not problems:
+            if problems:
+                self._ask(project, problems)
+            else:
                 self._take_up(project)
-                self.pending = None
+                self._pending = None
+                self._session.change(None, setting(waiting=None))
             del document
 
     def _read_moved(
@@ -262,11 +265,6 @@ class Projects:
         self._drop_pending()
         self._let_go(None)
 
-    @property
-    def is_read_only(self) -> bool:
-        """Whether the open project may only be looked at."""
-        return self.current is not None and bool(self.current.read_only)
-
     @contextlib.contextmanager
     def _changing(
         self, title: str, can_stop: bool = False
@@ -300,7 +298,6 @@ class Projects:
             if self._session.state.job is job:
                 self._session.change(None, setting(job=None))
             self._access.release()
-            self.on_change()
 
     def _take_up(self, project: Project) -> None:
         autosave = Autosave(self._session, project)
@@ -314,11 +311,13 @@ class Projects:
         def follow() -> None:
             if show is not None:
                 show()
-            self._session.read_only = project.read_only
             note = "" if show is None else self._session.state.note
             if project.old_copy is not None:
                 note = OLD_COPY % project.old_copy.name
-            self._session.change(None, setting(saving=project.read_only, note=note))
+            place = {"project": project.folder, "read_only": project.read_only}
+            self._session.change(
+                None, setting(**place, saving=project.read_only, note=note)
+            )
 
         try:
             self._let_go(follow, by_copy=show is None)
@@ -364,17 +363,23 @@ class Projects:
         if project is not None:
             _leave(project)
 
+    def _ask(self, project: Project, problems: Sequence[FileProblem]) -> WaitingProject:
+        waiting = WaitingProject(project.folder.name, tuple(problems))
+        self._session.change(None, setting(waiting=waiting))
+        return waiting
+
     def _drop_pending(self) -> None:
-        if self.pending is not None:
-            self.pending.close()
-        self.pending, self.problems = None, []
+        if self._pending is not None:
+            self._pending.close()
+            self._pending = None
+            self._session.change(None, setting(waiting=None))
 
     def _waiting(self) -> Project:
-        if self.pending is None:
+        if self._pending is None:
             raise InputError("There is no project that waits for this.")
-        if self.pending.read_only:
-            raise OutputError(self.pending.read_only)
-        return self.pending
+        if self._pending.read_only:
+            raise OutputError(self._pending.read_only)
+        return self._pending
 
 
 def remove_untouched() -> None:

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from app.control.run_report import report_html
 from app.engine.client import Worker
 from app.model import session as rules
-from app.model.messages import Compared, Refine
+from app.model.messages import Refine
 from app.model.run import Run, Status
 from app.model.session import Session
 from app.model.state import Document, State
-from app.model.wanted_pictures import wanted_view
+from app.model.wanted_pictures import current_comparison, wanted_view
 from photoreg.errors import RefinementError
 
 
@@ -25,8 +25,6 @@ class RunControl:
         self._send_scene = send_scene
         # Shared with the session: listeners run under it.
         self._lock = session.lock
-        self.comparison: Compared | None = None
-        """The run on screen beside what it is compared with."""
 
     def start(self) -> None:
         """Starts the refinement of the photos used."""
@@ -149,7 +147,8 @@ class RunControl:
         Raises:
             RefinementError: if no run is on screen, or its pictures are not there yet.
         """
-        state, comparison = self._session.state, self.comparison
+        state = self._session.state
+        comparison = current_comparison(state)
         if state.run.status != "review":
             raise RefinementError(
                 "A report tells of a run that has ended. Choose one in the list of runs."

@@ -10,7 +10,7 @@ from typing import Any
 from app.control.comparison_html import SWIPE_STYLE, comparison_html
 from app.model.formatting import number
 from app.model.markup import escaped
-from app.model.messages import Compared
+from app.model.pictures import Compared
 from app.model.run import CurvePoint, Run
 from app.model.scene_files import static_folder
 from app.model.state import State

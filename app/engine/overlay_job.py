@@ -7,15 +7,16 @@ import numpy as np
 
 from app.engine.surface_job import LiveSurface
 from app.model.camera_moves import DisplayFrame
-from app.model.messages import (
+from app.model.messages import SurfaceDrawn
+from app.model.pictures import (
     Compare,
     Compared,
     OverlayView,
     PhotoComparison,
     Picture,
-    SurfaceDrawn,
+    Surface,
 )
-from app.model.state import Surface, same_camera
+from app.model.state import same_camera
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.projection_error import Truth
@@ -190,7 +191,7 @@ class Drawing:
                     levels_after=mean_disagreement(after) if has_other else None,
                 )
             )
-        return Compared(job.before, job.after, job.style, tuple(photos))
+        return Compared(job, tuple(photos))
 
 
 def _heat(pair: AlignedPair) -> bytes:

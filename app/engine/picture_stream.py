@@ -9,7 +9,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from app.engine.overlay_job import Drawing
-from app.model.messages import DrawOverlay, Event, Failed, OverlayView
+from app.model.messages import DrawOverlay, Event, Failed
+from app.model.pictures import OverlayView
 from photoreg.errors import PhotoregError
 from photoreg.geometry.camera import Camera
 

@@ -22,14 +22,12 @@ from app.model.messages import (
     Bake,
     BakingStopped,
     Checked,
-    Compare,
     DrawOverlay,
     Event,
     Failed,
     Job,
     Measured,
     MeasureReach,
-    OverlayView,
     Pack,
     Pause,
     Reached,
@@ -43,6 +41,7 @@ from app.model.messages import (
     Watch,
     Working,
 )
+from app.model.pictures import Compare, OverlayView
 from photoreg.errors import PhotoregError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh

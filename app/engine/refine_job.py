@@ -14,7 +14,6 @@ from app.model.messages import (
     Event,
     Job,
     Live,
-    OverlayView,
     Pause,
     Refine,
     Refined,
@@ -23,6 +22,7 @@ from app.model.messages import (
     Stop,
     Watch,
 )
+from app.model.pictures import Cloud, OverlayView
 from app.model.run import CurvePoint, KeptSearch
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
@@ -38,7 +38,7 @@ PICTURE_PERIOD_S = 0.16
 """Time between overlay pictures during a refinement: six a second. Cameras, cost
 and words are told along with them: nobody reads faster, and each redraws the page."""
 
-CLOUD = 80
+N_CLOUD = 80
 """Individuals whose camera centres are shown."""
 
 KEEP_PERIOD_S = 1.0
@@ -187,10 +187,10 @@ class RefineJob:
         )
 
     def _live(self, event: Progress, curve: list[CurvePoint]) -> Live:
-        centers = None
+        cloud = None
         if event.population is not None:
-            centers = event.population.centers(CLOUD).astype(np.float32)
-        return Live(_light(event), tuple(curve), self._paused_s, centers)
+            cloud = Cloud(event.population.centers(N_CLOUD).astype(np.float32))
+        return Live(_light(event), tuple(curve), self._paused_s, cloud)
 
     def _keep(self, event: Progress, now: float) -> None:
         """Sends where the run can go on, every so often and where the polish begins."""

@@ -13,7 +13,7 @@ import numpy as np
 from app.engine.glb_file import GlbFile
 from app.model.camera_moves import DisplayFrame
 from app.model.messages import SMALL_PX
-from app.model.state import Surface
+from app.model.pictures import Surface
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.imaging.photo import Photo

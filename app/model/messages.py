@@ -4,18 +4,10 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from app.model.durations import Speed
+from app.model.pictures import Cloud, Compare, Compared, OverlayView, Picture
 from app.model.run import CurvePoint, KeptSearch
-from app.model.state import (
-    Agreement,
-    ModelChoice,
-    OverlayStyle,
-    Surface,
-    Texture,
-    ThroughStyle,
-)
+from app.model.state import Agreement, ModelChoice, Texture
 from photoreg.formats.cameras.cameras_json import CameraFile
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
@@ -53,25 +45,6 @@ class SetMask:
     """See ``app.model.masks``; None: the photo counts everywhere."""
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class OverlayView:
-    """How the overlay picture is drawn."""
-
-    style: OverlayStyle
-    onto: int
-    """Index of the photo that stays; the next one is carried over into it."""
-    share: float = 0.5
-    """Share of the carried photo in a blend; where the line of a swipe is."""
-    through: ThroughStyle = "surface"
-    """What a view through the photo needs beside the overlay."""
-    mesh_opacity: float = 0.5
-    """How much of the normals is mixed into the photo."""
-    start_line: float | None = None
-    """Where the start ends and the overlay now begins, as a share of the width."""
-    surface: Surface = "clay"
-    """What the object shows in the 3-D view while a run goes on."""
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class DrawOverlay:
     """Draw the overlay for these cameras, once."""
@@ -97,17 +70,6 @@ class Refine:
     """Where it goes on; None: it begins."""
     level: float = 1.0
     """Where the cost curve was then."""
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Compare:
-    """Draw the overlays of two sets of cameras, and where their photos disagree."""
-
-    before: tuple[Camera, ...]
-    after: tuple[Camera, ...]
-    style: OverlayStyle
-    surface: Surface
-    """What the object is to show with the cameras after."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -223,9 +185,8 @@ class Live:
     """The cost curve since the last of these."""
     paused_s: float = 0.0
     """Seconds of pauses so far."""
-    centers: np.ndarray | None = None
-    """Camera centres of the best individuals of the population, (n, c, 3) in world
-    axes; None outside the search."""
+    cloud: Cloud | None = None
+    """Of the population; None outside the search."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -233,23 +194,6 @@ class SearchKept:
     """The refinement can go on from here if it is cut short."""
 
     kept: KeptSearch
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Picture:
-    """The overlay drawn for the newest cameras."""
-
-    jpeg: bytes
-    error_px: float | None
-    """Mean projection error of those cameras, where the truth is known."""
-    other_jpeg: bytes | None = None
-    """What a blink shows in turn with ``jpeg``."""
-    onto: str = ""
-    """Name of the photo that the picture was drawn upon."""
-    normals_jpeg: bytes | None = None
-    """The surface's normals over that photo, where asked for."""
-    lines: np.ndarray | None = None
-    """Silhouette and creases that it sees, (s, 2, 3), where asked for."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -277,33 +221,6 @@ class SurfaceDrawn:
     """The object with the photos, or their disagreement, on it."""
 
     glb: bytes
-
-
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class PhotoComparison:
-    """Before and after in one photo; all pictures are JPEG files."""
-
-    name: str
-    carried: str
-    """Name of the photo carried over into it."""
-    before: bytes
-    after: bytes
-    disagreement_before: bytes
-    """Empty, as the next, where there is no other photo."""
-    disagreement_after: bytes
-    levels_before: float | None
-    """Mean disagreement in grey levels of 255; None where nothing is shared."""
-    levels_after: float | None
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Compared:
-    """Two sets of cameras beside each other, in every photo."""
-
-    before: tuple[Camera, ...]
-    after: tuple[Camera, ...]
-    style: OverlayStyle
-    photos: tuple[PhotoComparison, ...]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -11,10 +11,10 @@ from app.model.messages import (
     Live,
     MeshLoaded,
     PhotoLoaded,
-    Picture,
     Refined,
     Working,
 )
+from app.model.pictures import Picture
 from app.model.run import CurvePoint, Run
 from app.model.scene_files import first_names, with_cameras_of_file
 from app.model.state import Document, Job, State, same_camera
@@ -112,7 +112,7 @@ def advanced(state: State, event: Live) -> State:
         curve=curve,
         polish_error_px=progress.expected_error_px,
     )
-    return dataclasses.replace(state, run=run)
+    return dataclasses.replace(state, run=run, cloud=event.cloud)
 
 
 def _thinned(curve: tuple[CurvePoint, ...]) -> tuple[CurvePoint, ...]:
@@ -122,8 +122,8 @@ def _thinned(curve: tuple[CurvePoint, ...]) -> tuple[CurvePoint, ...]:
     )
 
 
-def measured(state: State, event: Picture) -> State:
-    """The true error of the cameras shown, where the truth is known."""
+def pictured(state: State, event: Picture) -> State:
+    """The newest pictures, and the true error of their cameras where it is known."""
     run = state.run
     first = run.start_error_px if run.start_error_px is not None else event.error_px
     run = dataclasses.replace(
@@ -131,7 +131,7 @@ def measured(state: State, event: Picture) -> State:
         error_px=event.error_px,
         start_error_px=first if run.status != "idle" else None,
     )
-    return dataclasses.replace(state, run=run)
+    return dataclasses.replace(state, run=run, drawn=event, shows_other=False)
 
 
 def checked(state: State, event: Checked) -> State:

@@ -20,6 +20,13 @@ from photoreg.imaging.photo import Photo
 Change = Callable[[State], State]
 Listener = Callable[[State, State], None]
 
+OF_THE_PROGRAM = (
+    *("worker", "dark", "waiting"),
+    *("drawn", "shows_other", "surface_glb", "comparison"),
+)
+"""Fields of the state that a project does not bring: those of what is drawn are of the
+scene, which may be the same in it."""
+
 
 class Session:
     """Holds the state; replaces it whole; remembers documents for undo.
@@ -34,8 +41,6 @@ class Session:
         """Held during a change; hold it to make several changes as one."""
         self._listeners: list[Listener] = []
         self._undo_history = UndoHistory()
-        self.read_only = ""
-        """Why the document cannot be changed, in one sentence; empty where it can."""
 
     @property
     def state(self) -> State:
@@ -71,8 +76,8 @@ class Session:
             if new.document != old.document:
                 if name is None:
                     raise ValueError("A change of the document needs a name.")
-                if self.read_only:
-                    raise OutputError(self.read_only)
+                if old.read_only:
+                    raise OutputError(old.read_only)
                 if old.run.is_active:
                     raise RefinementError(
                         "The refinement is running. Stop it first, or wait for its end."
@@ -114,12 +119,12 @@ class Session:
             run: A run that waits to be accepted; None: none.
         """
         with self.lock:
-            self.read_only = ""
             self._undo_history = UndoHistory.of_steps(steps, now)
             self._replace(
                 dataclasses.replace(
-                    State(worker=self._state.worker, dark=self._state.dark),
+                    State(),
                     **{
+                        **{name: getattr(self._state, name) for name in OF_THE_PROGRAM},
                         **(choices or {}),
                         "document": steps[now].document,
                         "run": run if run is not None else Run(),
@@ -132,8 +137,8 @@ class Session:
             history = self._undo_history
             if not (history.undo_name if take == history.undo else history.redo_name):
                 return None
-            if self.read_only:
-                raise OutputError(self.read_only)
+            if self._state.read_only:
+                raise OutputError(self._state.read_only)
             if self._state.run.status != "idle":
                 raise RefinementError(
                     "Accept or revert the refinement first; then undo works again."
@@ -148,17 +153,22 @@ class Session:
     def _replace(self, new: State) -> None:
         old = self._state
         if not new.document.shows_same_as(old.document):
-            # What was measured of another scene would mislead.
+            # What was measured and drawn of another scene would mislead.
             new = dataclasses.replace(
                 new,
                 agreement=None,
                 readiness=None,
+                drawn=None,
+                surface_glb=None,
                 run=dataclasses.replace(new.run, error_px=None)
                 if new.run.status == "idle"
                 else new.run,
             )
+        run = new.run
         self._state = dataclasses.replace(
             new,
+            cloud=new.cloud if run.is_active else None,
+            comparison=new.comparison if run.status == "review" else None,
             selected=min(new.selected, max(0, len(new.document.photos) - 1)),
             undo_name=self._undo_history.undo_name,
             redo_name=self._undo_history.redo_name,
@@ -172,6 +182,13 @@ class Session:
 def setting(**values: Any) -> Change:
     """A change of fields of the state that are not the document."""
     return lambda state: dataclasses.replace(state, **values)
+
+
+def blinked(state: State) -> State:
+    """The turn of the other picture of a blink, if there is one."""
+    if state.drawn is None or state.drawn.other_jpeg is None:
+        return state
+    return dataclasses.replace(state, shows_other=not state.shows_other)
 
 
 def select(index: int) -> Change:

@@ -5,12 +5,21 @@ No viser and no engine here.
 
 import dataclasses
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from app.model.durations import Speed
 from app.model.masks import decode_mask, encode_mask
+from app.model.pictures import (
+    Cloud,
+    Compared,
+    OverlayStyle,
+    Picture,
+    Surface,
+    ThroughStyle,
+)
 from app.model.run import KeptSearch, Run
 from photoreg.formats.cameras.registry import FormatName
 from photoreg.formats.models.encode_texture import PictureKind
@@ -18,6 +27,7 @@ from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.imaging.photo import Photo
 from photoreg.parameters.freedom import Freedom
+from photoreg.project.files import FileProblem
 from photoreg.registration.config import PresetName, RegistrationConfig
 from photoreg.registration.readiness import Readiness
 from photoreg.registration.verdict import Grade
@@ -28,15 +38,9 @@ SAME_CAMERA_TOLERANCE = 1e-10
 """Relative difference under which two cameras count as the same. Poses pass through
 quaternions on their way to the page and back, which costs about 1e-15."""
 
-OverlayStyle = Literal["blend", "checkerboard", "difference", "edges", "blink", "swipe"]
-"""How two photos are laid over each other."""
-ThroughStyle = Literal["surface", "wireframe", "lines", "normals", "photo"]
-"""What lies over a photo that is looked through: the mesh, drawn in one of four ways,
-or another photo, in the overlay style."""
 GizmoKind = Literal["move", "orbit"]
 UpAxis = Literal["auto", "y", "z"]
 HeldPart = Literal["pose", "focal", "principal_point", "lens"]
-Surface = Literal["clay", "photos", "disagreement"]
 
 
 def same_camera(a: Camera, b: Camera) -> bool:
@@ -279,6 +283,23 @@ class Agreement:
         return float(np.clip(1.0 - self.cost / self.chance, 0.0, 1.0))
 
 
+@dataclasses.dataclass(frozen=True)
+class WaitingProject:
+    """A project that is opened once its files are found."""
+
+    name: str
+    problems: tuple[FileProblem, ...]
+    """What there is to find, at least one."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Notice:
+    """What everybody who looks at the page is told, once."""
+
+    title: str
+    sentence: str
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class State:
     """Everything that is on screen, but for each browser's own view."""
@@ -338,10 +359,28 @@ class State:
     """How the next texture is made."""
     model_choice: ModelChoice = ModelChoice()
     cameras_choice: CamerasChoice = CamerasChoice()
+    drawn: Picture | None = None
+    """The newest pictures of the scene as it is; None until there are some."""
+    shows_other: bool = False
+    """Whether it is the turn of a blink's other picture."""
+    surface_glb: bytes | None = None
+    """The newest state of the surface in a run, a GLB file in page axes."""
+    cloud: Cloud | None = None
+    """Of the search that runs."""
+    comparison: Compared | None = None
+    """The newest of a run that has ended; may be of the one looked at before."""
     worker: str = "Starting the engine"
     """What the worker process is about, in words; empty when it is ready."""
     note: str = ""
     """The last thing that happened, for the status line."""
+    notice: Notice | None = None
+    """The last thing that all were told."""
+    project: Path | None = None
+    """The folder that the work is kept in; None: it is not kept."""
+    read_only: str = ""
+    """Why the document cannot be changed, in one sentence; empty where it can."""
+    waiting: WaitingProject | None = None
+    """What was to be opened, and asks for its files first."""
     saving: str = ""
     """Why the work is not being kept, in one sentence; empty while it is."""
     undo_name: str | None = None
@@ -392,6 +431,14 @@ class State:
             ):
                 return run.grade
         return None
+
+    @property
+    def picture(self) -> bytes | None:
+        """The overlay, a JPEG file; of a blink the photo whose turn it is."""
+        if self.drawn is None:
+            return None
+        other = self.drawn.other_jpeg if self.shows_other else None
+        return self.drawn.jpeg if other is None else other
 
     @property
     def settings(self) -> RegistrationConfig:

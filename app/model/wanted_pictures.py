@@ -1,6 +1,7 @@
 """Which pictures of the photos go with a state: what the worker is asked to draw."""
 
-from app.model.messages import Compare, MeasureReach, OverlayView
+from app.model.messages import MeasureReach
+from app.model.pictures import Compare, Compared, OverlayView
 from app.model.state import State, same_camera
 from photoreg.geometry.camera import Camera
 
@@ -63,15 +64,25 @@ def wanted_comparison(state: State) -> Compare | None:
 def next_comparison(old: State, new: State) -> Compare | None:
     """What the new state compares; None: nothing, or what the old one did."""
     wanted, before = wanted_comparison(new), wanted_comparison(old)
-    if (
-        wanted is not None
-        and before is not None
-        and (wanted.style, wanted.surface) == (before.style, before.surface)
-        and _same_cameras(wanted.before, before.before)
-        and _same_cameras(wanted.after, before.after)
-    ):
+    if wanted is None or (before is not None and _is_same(wanted, before)):
         return None
     return wanted
+
+
+def current_comparison(state: State) -> Compared | None:
+    """The pictures of what is compared now; None while they are being drawn."""
+    wanted, drawn = wanted_comparison(state), state.comparison
+    if wanted is None or drawn is None or not _is_same(wanted, drawn.asked):
+        return None
+    return drawn
+
+
+def _is_same(a: Compare, b: Compare) -> bool:
+    return (
+        (a.style, a.surface) == (b.style, b.surface)
+        and _same_cameras(a.before, b.before)
+        and _same_cameras(a.after, b.after)
+    )
 
 
 def _same_cameras(a: tuple[Camera, ...], b: tuple[Camera, ...]) -> bool:

@@ -113,9 +113,9 @@ def open_project(
                 f"{folder} holds a project already. Open it without other files, or "
                 "name another folder for them."
             )
-        projects.open(folder)
-        if projects.problems:
-            sentences = " ".join(problem.sentence for problem in projects.problems)
+        waiting = projects.open(folder)
+        if waiting is not None:
+            sentences = " ".join(problem.sentence for problem in waiting.problems)
             _say(f"{sentences} The page asks what to do.")
             projects.begin_unkept(Document())
     else:

@@ -7,6 +7,7 @@ so that nothing flickers however fast the changes come.
 import contextlib
 import dataclasses
 import io
+import queue
 import threading
 import time
 from collections.abc import Callable
@@ -17,10 +18,10 @@ import viser
 
 from app.control.camera_claims import CameraClaims
 from app.control.controller import Controller
-from app.model.failures import log_failure
+from app.model.failures import is_news, log_failure
 from app.model.markup import escaped, sending
-from app.model.session import Session, with_entry
-from app.model.state import Job, State
+from app.model.session import Session, blinked, with_entry
+from app.model.state import Job, Notice, State
 from app.panels.align import AlignPanel
 from app.panels.data import DataPanel
 from app.panels.export import ExportPanel
@@ -31,6 +32,7 @@ from app.panels.project import ProjectPanel
 from app.panels.refine import RefinePanel
 from app.panels.view import ViewPanel
 from app.scene.canvas import backdrop
+from app.scene.markers import Pull
 from app.scene.nodes import SceneNodes
 from app.scene.viewport import Viewport
 from app.web.access import AccessControl, start_viser
@@ -58,7 +60,10 @@ PASSING_PERIOD_S = 0.25
 """What a run tells waits so long for the next picture, to be painted together with it: a
 browser without a graphics card needs 20 to 50 ms of a core each time a word changes."""
 
-PASSING = ("run", "kept_search", "agreement")
+PASSING = (
+    *("run", "kept_search", "agreement", "notice"),
+    *("drawn", "shows_other", "surface_glb", "cloud"),
+)
 """The parts of the state that change all the time while a run goes on."""
 
 BLINK_PERIOD_S = 0.6
@@ -99,19 +104,15 @@ class Page:
         self._wake, self._urgent = threading.Event(), threading.Event()
         self._painted_at = -np.inf
         self._is_changed = True
+        self._notices: queue.SimpleQueue[Notice] = queue.SimpleQueue()
         self._connecting = threading.Lock()
         self._closed = False
         self.server.scene.configure_default_lights(cast_shadow=shadows)
         if not surroundings:
             self.server.scene.configure_environment_map(hdri=None)
-        self.scene = SceneNodes(self.server)
-        self.scene.gizmos.on_pull(self._on_gizmo)
+        self.scene = SceneNodes(self.server, self._on_gizmo, self._on_marker)
         self._build()
         session.listen(self._on_change)
-        controller.on_picture = self.projects.on_change = self._paint_soon
-        controller.on_surface = self._wake.set
-        controller.on_problem = self._tell_everybody
-        controller.on_failure = self._report_to_all
         controller.watch(False)
         self.server.on_client_connect(guarded_client(self._on_connect))
         self.server.on_client_disconnect(guarded_client(self._on_disconnect))
@@ -162,9 +163,10 @@ class Page:
         with left.add_tab("Overlay", viser.Icon.LAYERS_INTERSECT):
             overlay = OverlayPanel(gui, self.controller, bridge)
         with left.add_tab("Points", viser.Icon.TARGET_ARROW):
-            points = PointsPanel(gui, self.controller, bridge)
+            points = PointsPanel(gui, self.controller, bridge, self._on_picking)
         left.dock_left()
         left.set_width(350)
+        self._points = points
         self._panels = (project, data, align, refine, export, overlay, points)
         self._run_panels = (refine, overlay)
 
@@ -177,10 +179,6 @@ class Page:
                 np.array(event.ray_direction),
             )
 
-        points.on_picking = self._on_picking
-        self.scene.markers.on_pull = lambda pull: points.on_marker_pull(
-            self.scene.frame, pull
-        )
         # viser's types know of no asynchronous listener; viser itself does.
         self.server.scene.on_click()(cast(Any, clicked))
 
@@ -213,6 +211,9 @@ class Page:
         viewport = self._viewports.get(browser)
         if viewport is not None:
             viewport.pick(on)
+
+    def _on_marker(self, pull: Pull) -> None:
+        self._points.on_marker_pull(self.scene.frame, pull)
 
     def _on_travel(self, client: viser.ClientHandle, value: str) -> None:
         if value == "help":
@@ -250,7 +251,7 @@ class Page:
                 return
             if blinks and time.monotonic() - self._blinked_at > BLINK_PERIOD_S:
                 self._blinked_at = time.monotonic()
-                self.controller.blink()
+                self.session.change(None, blinked)
             try:
                 self._paint()
             except Exception as error:  # noqa: BLE001 - the border of a thread: report.
@@ -259,11 +260,15 @@ class Page:
             threading.Event().wait(PAINT_PERIOD_S)
 
     def _on_change(self, old: State, new: State) -> None:
-        if is_passing(old, new):
-            self._wake.set()
-        else:
+        if new.notice is not None and new.notice is not old.notice:
+            self._notices.put(new.notice)
+        if not is_passing(old, new):
             self._is_changed = True
             self._paint_soon()
+        elif new.drawn is not old.drawn or new.notice is not old.notice:
+            self._paint_soon()
+        else:
+            self._wake.set()
 
     def _paint_soon(self) -> None:
         self._urgent.set()
@@ -272,6 +277,8 @@ class Page:
     def _paint(self) -> None:
         is_changed, self._is_changed = self._is_changed, False
         state = self.session.state
+        while not self._notices.empty():
+            self._tell_everybody(self._notices.get())
         # What is shown as done is on disk; a write that takes long is said to go on.
         is_kept = self.projects.wait()
         if not is_kept:
@@ -292,7 +299,7 @@ class Page:
                 panel.show(state)
             if not self._is_scene_late:
                 self._scene_at = now
-                self._show_scene(state)
+                self.scene.show(state)
         for number, viewport in list(self._viewports.items()):
             panel = self._view_panels.get(number)
             try:
@@ -302,14 +309,6 @@ class Page:
             except RuntimeError as error:
                 if not has_left(viewport.client, error):
                     raise
-
-    def _show_scene(self, state: State) -> None:
-        """Shows the 3-D view, all of it at once."""
-        controller = self.controller
-        drawn = controller.drawn
-        self.scene.show(state, None if drawn is None else drawn.lines)
-        self.scene.show_cloud(controller.cloud if state.run.is_active else None)
-        self.scene.show_surface(controller.surface_glb)
 
     def _theme(self, dark: bool) -> None:
         self.server.gui.configure_theme(
@@ -385,9 +384,10 @@ class Page:
         for client in self.server.get_clients().values():
             report(client, what, error)
 
-    def _tell_everybody(self, title: str, sentence: str) -> None:
+    def _tell_everybody(self, notice: Notice) -> None:
         for client in self.server.get_clients().values():
-            notify(client, title, sentence)
+            if is_news(client.client_id, f"{notice.title}: {notice.sentence}"):
+                notify(client, notice.title, notice.sentence)
 
 
 def is_passing(old: State, new: State) -> bool:

@@ -9,10 +9,10 @@ import viser.uplot
 from app.control.comparison_html import SWIPE_STYLE, comparison_html
 from app.control.controller import Controller
 from app.model.markup import escaped
-from app.model.messages import Compared
+from app.model.pictures import Compared, Surface
 from app.model.run import CurvePoint
 from app.model.session import setting
-from app.model.state import State, Surface
+from app.model.state import State
 from app.web.bridge import Bridge
 from app.web.controls import guarded, put, put_jpeg, put_value
 from app.web.styles import PHOTO_STYLES
@@ -60,7 +60,6 @@ class OverlayPanel:
     def __init__(
         self, gui: viser.GuiApi, controller: Controller, bridge: Bridge
     ) -> None:
-        self._controller = controller
         self._shown: bytes | None = None
         self._compared: tuple[Compared, int] | None = None
         self._curve: object = ()
@@ -142,19 +141,16 @@ class OverlayPanel:
         self._show_comparison(state)
         self._show_curve(run.curve)
 
-    def _show_picture(self, compared: bool) -> None:
-        picture = self._controller.picture
+    def _show_picture(self, picture: bytes | None, compared: bool) -> None:
         put(self._image, "visible", picture is not None and not compared)
         if picture is not None and picture is not self._shown:
             self._shown = picture
             put_jpeg(self._image, picture)
 
     def _show_comparison(self, state: State) -> None:
-        compared = self._controller.refinement.comparison
-        if state.run.status != "review":
-            compared = None
+        compared = state.comparison
         put(self._comparison, "visible", compared is not None)
-        self._show_picture(compared is not None)
+        self._show_picture(state.picture, compared is not None)
         if compared is None or not compared.photos:
             return
         onto = min(state.overlay_onto, len(compared.photos) - 1)

@@ -29,14 +29,18 @@ class PointsPanel:
     """The picker, the table of pairs, and what can be done with them."""
 
     def __init__(
-        self, gui: viser.GuiApi, controller: Controller, bridge: Bridge
+        self,
+        gui: viser.GuiApi,
+        controller: Controller,
+        bridge: Bridge,
+        on_picking: Callable[[int, bool], None],
     ) -> None:
+        """``on_picking`` is told of a browser whose clicks place points, or no longer."""
         self._controller = controller
         self._session = session = controller.session
         self._pictures = controller.pictures
         self._picking: set[int] = set()
-        self.on_picking: Callable[[int, bool], None] = lambda *_: None
-        """Called when clicks on the model begin or cease to place points in a browser."""
+        self._tell_picking = on_picking
         self._gesture = itertools.count()
         self._pull: tuple[str, int] = ("pull", -1)
         self._choice = gui.add_dropdown(
@@ -206,7 +210,7 @@ class PointsPanel:
         self._session.change(None, change)
 
     def _on_picking(self, values: Values, client: viser.ClientHandle) -> None:
-        self.on_picking(client.client_id, values["on"])
+        self._tell_picking(client.client_id, values["on"])
         if values["on"]:
             self._picking.add(client.client_id)
             mesh = self._session.state.document.mesh

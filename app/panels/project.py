@@ -10,7 +10,7 @@ from app.control.controller import Controller
 from app.control.projects import NOT_KEPT
 from app.model.formatting import shortened
 from app.model.markup import escaped
-from app.model.state import State
+from app.model.state import State, WaitingProject
 from app.web.controls import confirm, guarded, guarded_slow, put, put_value
 from app.web.widgets import help_line
 from photoreg.errors import InputError, OutputError, PhotoregError
@@ -27,7 +27,7 @@ class ProjectPanel:
     """Where the work is kept, and the ways to another project."""
 
     def __init__(self, gui: viser.GuiApi, controller: Controller) -> None:
-        self._projects = controller.projects
+        self._projects, self._session = controller.projects, controller.session
         self._asked: FileProblem | None = None
         # A folder without a heading: viser shows an upload button whatever it is told.
         with gui.add_folder(None, visible=False) as self._asking:
@@ -124,12 +124,8 @@ class ProjectPanel:
             question.end("Create", make)
 
     def _ask_open(self, client: viser.ClientHandle) -> None:
-        current = self._projects.current
-        folders = [
-            folder
-            for folder in user_data.recent()
-            if current is None or folder != current.folder
-        ]
+        now = self._session.state.project
+        folders = [folder for folder in user_data.recent() if folder != now]
         question = _Question(client, "Open a project")
         with question.modal:
             for folder in folders[:MAX_SHOWN]:
@@ -178,10 +174,10 @@ class ProjectPanel:
             question.end("Save", save)
 
     def _problem(self) -> FileProblem:
-        problems = self._projects.problems
-        if not problems:
+        waiting = self._session.state.waiting
+        if waiting is None:
             raise InputError("No file is being looked for any more.")
-        return problems[0]
+        return waiting.problems[0]
 
     def _locate(
         self, client: viser.ClientHandle, problem: FileProblem, path: str
@@ -201,39 +197,38 @@ class ProjectPanel:
     # What is shown.
 
     def show(self, state: State) -> None:
-        """Makes the panel as the projects are."""
-        self._show_question()
-        project = self._projects.current
+        """Makes the panel as ``state`` has it."""
+        self._show_question(state.waiting)
+        project = state.project
         busy = state.run.is_active or state.job is not None
         for button in (self._new, self._open, self._save):
             put(button, "disabled", busy)
         if project is None:
             name, facts = "not kept", escaped(state.saving or NOT_KEPT)
         else:
-            name = project.folder.name
-            facts = f"In {escaped(str(project.folder))}.<br>" + (
+            name = project.name
+            facts = f"In {escaped(str(project))}.<br>" + (
                 "Open to look at only; the line at the top says why."
-                if project.read_only
+                if state.read_only
                 else "Everything is kept as you work, undo included."
             )
         put(self._folder, "label", f"Project: {shortened(name, LABEL_CHARACTERS)}")
         put(self._facts, "content", help_line(f'<div style="height:4px"></div>{facts}'))
 
-    def _show_question(self) -> None:
-        pending, problems = self._projects.pending, self._projects.problems
-        put(self._asking, "visible", pending is not None and bool(problems))
-        if pending is not None and problems:
-            put(self._question, "content", _question(pending.folder.name, problems))
-            put(self._change, "visible", problems[0].kind == "changed")
-        asked = problems[0] if pending is not None and problems else None
+    def _show_question(self, waiting: WaitingProject | None) -> None:
+        put(self._asking, "visible", waiting is not None)
+        if waiting is not None:
+            put(self._question, "content", _question(waiting))
+            put(self._change, "visible", waiting.problems[0].kind == "changed")
+        asked = None if waiting is None else waiting.problems[0]
         if asked != self._asked:
             self._asked = asked
             put_value(self._path, "")  # What was typed was about another file.
 
 
-def _question(name: str, problems: list[FileProblem]) -> str:
-    problem = problems[0]
-    count = f" ({len(problems)} files to find)" if len(problems) > 1 else ""
+def _question(waiting: WaitingProject) -> str:
+    problem, n_files = waiting.problems[0], len(waiting.problems)
+    count = f" ({n_files} files to find)" if n_files > 1 else ""
     what = {
         "missing": "Type where it is now, or its folder; what else is missing is looked "
         "for there too.",
@@ -244,7 +239,7 @@ def _question(name: str, problems: list[FileProblem]) -> str:
         '<div style="margin:10px 12px 8px;padding:10px 12px;border-radius:6px;'
         "background:rgba(232,163,61,.16);border-left:3px solid #e8a33d;font-size:13px;"
         'line-height:1.4;overflow-wrap:anywhere"><b>Before '
-        f"{escaped(name)} opens{count}</b><br>{escaped(problem.sentence)} {what}"
+        f"{escaped(waiting.name)} opens{count}</b><br>{escaped(problem.sentence)} {what}"
         "</div>"
     )
 

@@ -10,6 +10,7 @@ from app.model.reducers import has_moved
 from app.model.run import PRESET_NAMES, Run
 from app.model.session import setting
 from app.model.state import State
+from app.model.wanted_pictures import current_comparison
 from app.panels.advanced import AdvancedPanel
 from app.panels.freedom import FreedomPanel
 from app.panels.meter import VERDICTS
@@ -177,7 +178,7 @@ class RefinePanel:
         put(self._accept, "color", "gray" if doubtful else "teal")
         put(self._revert, "color", "teal" if doubtful else "gray")
         put(self._on, "visible", state.can_go_on)
-        put(self._report, "disabled", self._controller.refinement.comparison is None)
+        put(self._report, "disabled", current_comparison(state) is None)
         put(self._verdict, "visible", review and bool(run.verdict))
         put(self._verdict, "content", verdict_html(run))
         put(self._text, "content", _report(state, ready))

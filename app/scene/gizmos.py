@@ -12,6 +12,10 @@ from app.model.state import State
 from app.web.controls import guarded, put
 from photoreg.geometry.camera import Camera
 
+Moved = Callable[[str, int, Callable[[Camera], Camera]], None]
+"""Takes a phase, a browser, and what makes the camera where the hand has it from the one
+in force."""
+
 GIZMO_PX = 105.0
 ORBIT_PX = 190.0
 
@@ -19,7 +23,7 @@ ORBIT_PX = 190.0
 class Gizmos:
     """Of the two one is shown; nothing is read from them but what a hand does."""
 
-    def __init__(self, scene: viser.SceneApi) -> None:
+    def __init__(self, scene: viser.SceneApi, moved: Moved) -> None:
         self._frame = DisplayFrame()
         self._holder: int | None = None
         self.move = scene.add_transform_controls(
@@ -42,14 +46,6 @@ class Gizmos:
         )
         self.orbit_rest = np.eye(3)
         self._orbit_start: tuple[Camera, np.ndarray] | None = None
-
-    def on_pull(
-        self, moved: Callable[[str, int, Callable[[Camera], Camera]], None]
-    ) -> None:
-        """Calls ``moved(phase, browser, change)`` as a gizmo is dragged.
-
-        ``change`` makes the camera where the hand has it from the one in force.
-        """
 
         @self.move.on_update
         @guarded

@@ -31,12 +31,12 @@ class Pull(NamedTuple):
 class Markers:
     """A small ball and a number for each point on the surface."""
 
-    def __init__(self, scene: viser.SceneApi) -> None:
+    def __init__(self, scene: viser.SceneApi, on_pull: Callable[[Pull], None]) -> None:
+        """``on_pull`` is called as a marker is dragged."""
         self._scene = scene
         self._balls: dict[int, viser.IcosphereHandle] = {}
         self._grips: dict[int, np.ndarray] = {}
-        self.on_pull: Callable[[Pull], None] = lambda _: None
-        """Called as a marker is dragged."""
+        self._on_pull = on_pull
         scene.add_frame("/points", show_axes=False)
 
     def show(self, state: State, frame: DisplayFrame) -> None:
@@ -89,7 +89,7 @@ class Markers:
                 self._grips[number] = ball.position - np.array(event.start_position)
             eye = np.array(event.client.camera.position)
             aim = np.array(event.end_position) + self._grips.get(number, 0.0)
-            self.on_pull(Pull(event.client, number, event.phase, eye, aim - eye))
+            self._on_pull(Pull(event.client, number, event.phase, eye, aim - eye))
 
         return ball
 

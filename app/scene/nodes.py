@@ -5,14 +5,17 @@ Nodes: /solid (clay or textured model), /clear (the translucent mesh of look-thr
 not want; see viewport.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 import viser
 
 from app.model.camera_moves import DisplayFrame
+from app.model.pictures import Cloud
 from app.model.state import State
 from app.scene.frusta import SELECTED_COLOUR, Frusta
-from app.scene.gizmos import Gizmos
-from app.scene.markers import Markers
+from app.scene.gizmos import Gizmos, Moved
+from app.scene.markers import Markers, Pull
 from app.web.controls import put
 from photoreg.geometry.mesh import Mesh
 
@@ -32,7 +35,13 @@ OUTWARD_SHARE = 0.96
 class SceneNodes:
     """The shared nodes of the page, kept as the state has them."""
 
-    def __init__(self, server: viser.ViserServer) -> None:
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        on_gizmo: Moved,
+        on_marker: Callable[[Pull], None],
+    ) -> None:
+        """``on_gizmo`` and ``on_marker`` are called as one of them is dragged."""
         self._server = server
         self.frame = DisplayFrame()
         self._mesh: Mesh | None = None
@@ -46,26 +55,25 @@ class SceneNodes:
         self._clay: viser.MeshHandle | None = None
         self._clear: viser.MeshHandle | None = None
         scene = server.scene
-        self.markers = Markers(scene)
+        self.markers = Markers(scene, on_marker)
         for name in ("/solid", "/clear", "/cameras"):
             scene.add_frame(name, show_axes=False)
         self._sorted_for: np.ndarray | None = None
         self._faces: np.ndarray | None = None
         self._lines: viser.LineSegmentsHandle | None = None
         self._segments: np.ndarray | None = None
-        self.gizmos = Gizmos(scene)
+        self.gizmos = Gizmos(scene, on_gizmo)
         self.frusta = Frusta(server)
         self._cloud: viser.PointCloudHandle | None = None
-        self._cloud_of: np.ndarray | None = None
+        self._cloud_of: Cloud | None = None
 
-    def show(self, state: State, lines: np.ndarray | None = None) -> None:
-        """Makes the nodes as ``state`` has them; sends only what changed.
-
-        ``lines`` are the newest silhouette and creases, (s, 2, 3) in world axes.
-        """
+    def show(self, state: State) -> None:
+        """Makes the nodes as ``state`` has them; sends only what changed."""
         self._show_mesh(state)
-        self._show_lines(state, lines)
+        self._show_lines(state)
         self._show_texture(state)
+        self._show_cloud(state.cloud)
+        self._show_surface(state.surface_glb)
         self.frusta.show(state, self.frame)
         self.gizmos.show(state, self.frame)
         self.markers.show(state, self.frame)
@@ -128,7 +136,8 @@ class SceneNodes:
         distance = ((centres - position) ** 2).sum(axis=1)
         self._clear.faces = self._faces[np.argsort(distance)]
 
-    def _show_lines(self, state: State, lines: np.ndarray | None) -> None:
+    def _show_lines(self, state: State) -> None:
+        lines = None if state.drawn is None else state.drawn.lines
         wanted = state.through_style == "lines" and lines is not None and len(lines) > 0
         if wanted and lines is not self._segments and lines is not None:
             self._segments = lines
@@ -146,21 +155,17 @@ class SceneNodes:
         if self._lines is not None:
             put(self._lines, "visible", wanted)
 
-    def show_cloud(self, centers: np.ndarray | None) -> None:
-        """Shows where the individuals of a search have their cameras.
-
-        ``centers`` are (n, c, 3) in world axes; None: there is no search.
-        """
-        if centers is self._cloud_of:
+    def _show_cloud(self, cloud: Cloud | None) -> None:
+        if cloud is self._cloud_of:
             return
-        self._cloud_of = centers
+        self._cloud_of = cloud
         if self._cloud is not None:
             # Kept for the next run: a new one has its shader compiled again, for which
             # a browser without a graphics card stands still for half a second.
-            put(self._cloud, "visible", centers is not None)
-        if centers is None:
+            put(self._cloud, "visible", cloud is not None)
+        if cloud is None:
             return
-        points = self.frame.to_page(centers.reshape(-1, 3)).astype(np.float32)
+        points = self.frame.to_page(cloud.centers.reshape(-1, 3)).astype(np.float32)
         if self._cloud is not None and self._cloud.points.shape == points.shape:
             self._cloud.points = points
             return
@@ -172,7 +177,7 @@ class SceneNodes:
             point_shape="circle",
         )
 
-    def show_surface(self, glb: bytes | None) -> None:
+    def _show_surface(self, glb: bytes | None) -> None:
         """Shows the surface of a run; the node before stays until the next one comes.
 
         A browser needs a moment to read a model: taken away at once, the old one would

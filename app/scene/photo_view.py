@@ -15,7 +15,6 @@ import numpy as np
 import viser
 import viser.transforms as vtf
 
-from app.control.controller import Controller
 from app.model.markup import mounted
 from app.model.state import PhotoEntry, State
 from app.scene.canvas import (
@@ -51,11 +50,8 @@ class Plane:
 class PhotoView:
     """What one browser has behind its mesh; sends only what changed."""
 
-    def __init__(
-        self, client: viser.ClientHandle, controller: Controller, scene: SceneNodes
-    ) -> None:
+    def __init__(self, client: viser.ClientHandle, scene: SceneNodes) -> None:
         self.client = client
-        self._controller = controller
         self._scene = scene
         self._background: object = None
         self._plane: Plane | None = None
@@ -90,7 +86,7 @@ class PhotoView:
         height = round(view.image_height * scale)
         focal = fitting_focal(entry.camera, width, height)
         view.fov = view_angle(focal, height)
-        picture = self._shown(state, entry)
+        picture = _shown(state, entry)
 
         def warped() -> np.ndarray:
             photo = (
@@ -120,7 +116,7 @@ class PhotoView:
         around = np.full((4, 4, 3), SURROUND[state.dark], dtype=np.uint8)
         self._set_background(("inspect", state.dark), lambda: around)
         rotation, position = frame.pose(camera)
-        picture = self._shown(state, entry)
+        picture = _shown(state, entry)
         shown = (entry.photo, camera.lens) if picture is None else picture
         plane = self._plane
         bounds = np.array([[-1.0] * 3, [1.0] * 3]) if mesh is None else mesh.bounds
@@ -169,15 +165,6 @@ class PhotoView:
         focal = fitting_focal(camera, width, height)
         return view_angle(focal * zoom, height)
 
-    def _shown(self, state: State, entry: PhotoEntry) -> bytes | None:
-        """The worker's picture that takes the photo's place, a JPEG file; or none."""
-        drawn = self._controller.drawn
-        if drawn is None or drawn.onto != entry.name or not entry.enabled:
-            return None
-        if state.through_style == "photo":
-            return self._controller.picture
-        return drawn.normals_jpeg if state.through_style == "normals" else None
-
     def _set_background(self, key: object, picture: Callable[[], np.ndarray]) -> None:
         """Sends the background that ``picture`` makes, unless it is there already."""
         if key == self._background:
@@ -196,6 +183,16 @@ class PhotoView:
         # The number makes it new to the page, which hears only of what has changed.
         count = str(next(self._count))
         self._script.content = mounted("inspect", fit=fit, count=count)
+
+
+def _shown(state: State, entry: PhotoEntry) -> bytes | None:
+    """The worker's picture that takes the photo's place, a JPEG file; or none."""
+    drawn = state.drawn
+    if drawn is None or drawn.onto != entry.name or not entry.enabled:
+        return None
+    if state.through_style == "photo":
+        return state.picture
+    return drawn.normals_jpeg if state.through_style == "normals" else None
 
 
 def _plane_pixels(entry: PhotoEntry) -> np.ndarray:

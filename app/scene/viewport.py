@@ -86,7 +86,7 @@ class Viewport:
         self._wake = wake
         self._lock = threading.RLock()
         self._hidden: list[viser.SceneNodeHandle] = []
-        self._photo = PhotoView(client, controller, scene)
+        self._photo = PhotoView(client, scene)
         self._home: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
         self._stands_at: Camera | None = None
         self._aim: np.ndarray | None = None

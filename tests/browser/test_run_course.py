@@ -54,7 +54,7 @@ def app(open_app_once):
 
 
 def test_different_overlays_arrive_while_the_best_cost_only_falls(app):
-    wait_until(lambda: app.controller.picture is not None, "the start is drawn")
+    wait_until(lambda: app.state.picture is not None, "the start is drawn")
     app.driver.frames(3)
     app.driver.page.evaluate(WATCH_OVERLAY)
     start(app, hold=False)
@@ -155,12 +155,12 @@ def test_a_blink_shows_both_photos_in_turn(app):
     start(app)
     app.driver.choose("Style", "Blink")
     wait_until(
-        lambda: app.controller.drawn.other_jpeg is not None, "both pictures are drawn"
+        lambda: app.state.drawn.other_jpeg is not None, "both pictures are drawn"
     )
     app.driver.frames(2)
     app.driver.page.evaluate(WATCH_OVERLAY)
     app.driver.page.wait_for_function("() => overlays.size >= 2", timeout=30_000)
-    drawn = app.controller.drawn
+    drawn = app.state.drawn
     expected = {
         ",".join(map(str, hashlib.sha256(jpeg).digest()))
         for jpeg in (drawn.jpeg, drawn.other_jpeg)

@@ -63,7 +63,7 @@ def test_a_run_of_the_list_is_looked_at_compared_and_restored(app):
 def test_the_report_swipes_without_a_server_and_loads_nothing(app, chromium, tmp_path):
     last = next(run for run in reversed(app.state.runs) if has_moved(run))
     app.session.change(None, looking_at(last.number))
-    wait_until(lambda: app.controller.refinement.comparison is not None, "it is drawn")
+    wait_until(lambda: app.state.comparison is not None, "it is drawn")
     with app.driver.page.expect_download() as download:
         app.driver.click("Download report")
     path = tmp_path / "report.html"

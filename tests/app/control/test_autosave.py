@@ -25,6 +25,7 @@ from app.model.state import ModelChoice, PointPair, State
 from app.page.main import open_project
 from photoreg.errors import InputError, OutputError
 from photoreg.formats.photos.read import load_photo
+from photoreg.project.files import FileProblem
 from photoreg.project.project import Project
 from photoreg.registration.config import RegistrationConfig
 
@@ -52,6 +53,12 @@ while True:
 def data_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("PHOTOREG_DATA", str(tmp_path / "data"))
     return tmp_path / "data"
+
+
+def asked_of(session: Session) -> tuple[FileProblem, ...]:
+    """The files that a project waits for."""
+    waiting = session.state.waiting
+    return () if waiting is None else waiting.problems
 
 
 def _opened(folder: Path) -> tuple[Session, Projects]:
@@ -186,7 +193,7 @@ def test_a_run_that_is_cut_short_can_go_on_after_a_restart(tmp_path: Path) -> No
 def test_a_second_program_may_only_look_and_says_so(tmp_path: Path) -> None:
     _, first = _opened(tmp_path / "work")
     session, second = _opened(tmp_path / "work")
-    assert second.is_read_only
+    assert session.state.read_only
     assert "look at only" in session.state.saving
     with pytest.raises(OutputError, match="look at only"):
         session.change("Turn", with_document(up=(0.0, 0.0, 1.0)))
@@ -242,18 +249,17 @@ def test_moved_files_are_asked_for_and_neighbours_are_found(
     _project_of(museum, tmp_path / "work")
     museum.rename(tmp_path / "moved")
     session, projects = _opened(tmp_path / "work")
-    assert {p.kind for p in projects.problems} == {"missing"}
-    assert len(projects.problems) == 3
+    assert {p.kind for p in asked_of(session)} == {"missing"}
+    assert len(asked_of(session)) == 3
     assert projects.current is None
-    problem = projects.problems[0]
+    problem = asked_of(session)[0]
     with pytest.raises(InputError, match="cannot be read"):
         projects.locate(problem, tmp_path / "nowhere.ply", changed=False)
     with pytest.raises(InputError, match="whole path"):
         projects.locate(problem, "shell.ply", changed=False)
-    assert len(projects.problems) == 3
+    assert len(asked_of(session)) == 3
     projects.locate(problem, tmp_path / "moved", changed=False)
-    assert projects.problems == []
-    assert projects.pending is None
+    assert asked_of(session) == ()
     assert session.undo() == "Turn"
     sources = [entry.photo.source for entry in session.state.document.photos]
     assert all(s is not None and s.path.parent.name == "moved" for s in sources)
@@ -270,20 +276,20 @@ def test_a_changed_file_is_used_only_if_that_is_said_and_only_if_it_fits(
     assert picture is not None
     cv2.imwrite(str(path), picture[:-2])
     session, projects = _opened(tmp_path / "work")
-    (problem,) = projects.problems
+    (problem,) = asked_of(session)
     assert problem.kind == "changed"
     with pytest.raises(InputError, match="not the same file"):
         projects.locate(problem, path, changed=False)
     with pytest.raises(InputError, match="Use a file of that size"):
         projects.locate(problem, path, changed=True)
-    assert projects.problems == [problem], "nothing has changed"
+    assert asked_of(session) == (problem,), "nothing has changed"
     # Brought from somewhere else, the file that it was opens the project.
     kept = projects.locate_upload(problem, "shell-left.jpg", before)
     assert projects.is_same(problem, kept)
     projects.cancel()
     cv2.imwrite(str(path), 255 - picture)
     projects.open(tmp_path / "work")
-    projects.locate(projects.problems[0], path, changed=True)
+    projects.locate(asked_of(session)[0], path, changed=True)
     assert session.state.document.photos[0].photo.pixels.mean() > 120
     projects.close()
 
@@ -305,8 +311,8 @@ def test_work_goes_on_in_the_copy_and_takes_its_files_along(
     again, projects = _opened(tmp_path / "far away")
     assert (again.undo(), again.undo()) == ("Again", "Turn")
     projects.close()
-    _, projects = _opened(tmp_path / "work")
-    assert len(projects.problems) == 3, "the old project is as it was"
+    session, projects = _opened(tmp_path / "work")
+    assert len(asked_of(session)) == 3, "the old project is as it was"
     projects.close()
 
 

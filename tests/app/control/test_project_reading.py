@@ -119,13 +119,15 @@ def test_files_that_have_moved_are_not_decoded_in_the_server_either(
     session = Session()
     projects = Projects(session)
     projects.open(tmp_path / "work")
-    assert len(projects.problems) == 3
+    waiting = session.state.waiting
+    assert waiting is not None
+    assert len(waiting.problems) == 3
     for name in ("load_mesh", "load_photo"):
         monkeypatch.setattr(
             f"photoreg.project.project.{name}", lambda path: pytest.fail(str(path))
         )
-    projects.locate(projects.problems[0], tmp_path / "moved", changed=False)
-    assert projects.problems == []
+    projects.locate(waiting.problems[0], tmp_path / "moved", changed=False)
+    assert session.state.waiting is None
     assert len(session.state.document.photos) == 2
     projects.close()
 

@@ -29,8 +29,6 @@ from app.model.messages import (
     Job,
     Live,
     MeasureReach,
-    OverlayView,
-    Picture,
     Ready,
     Refine,
     Refined,
@@ -39,6 +37,7 @@ from app.model.messages import (
     SurfaceDrawn,
     Watch,
 )
+from app.model.pictures import OverlayView, Picture
 from app.model.run import CurvePoint
 from app.model.session import Session, with_entry
 from app.model.state import Document, ModelChoice, PhotoEntry, State, same_camera
@@ -241,11 +240,22 @@ def controller(shared_controller, scene) -> Controller:
     entries = tuple(map(PhotoEntry, scene.photos, scene.rough_cameras))
     truth = tuple(zip((e.name for e in entries), scene.cameras, strict=True))
     mesh = dataclasses.replace(scene.mesh)
-    shared_controller.on_problem = lambda *_: None
     shared_controller.session.change(
         "Open", lambda _: State(document=Document(mesh, mesh, entries, truth))
     )
     return shared_controller
+
+
+def notices(controller: Controller) -> list[str]:
+    """What all are told from now on."""
+    told: list[str] = []
+
+    def hear(old: State, new: State) -> None:
+        if new.notice is not None and new.notice is not old.notice:
+            told.append(f"{new.notice.title}: {new.notice.sentence}")
+
+    controller.session.listen(hear)
+    return told
 
 
 def wait(controller: Controller, condition, what: str) -> State:
@@ -258,8 +268,7 @@ def improved(state: State) -> bool:
 
 
 def test_killing_the_worker_keeps_the_best_and_the_next_run_works(controller):
-    problems: list[str] = []
-    controller.on_problem = lambda *words: problems.append(": ".join(words))
+    problems = notices(controller)
     session = controller.session
     session.change(None, rules.setting(preset="thorough"))
     controller.refinement.start()
@@ -352,8 +361,7 @@ def test_an_uploaded_photo_gets_a_camera_that_sees_the_object(controller, scene)
 
 
 def test_a_bad_upload_is_told_and_changes_nothing(controller):
-    problems: list[str] = []
-    controller.on_problem = lambda *words: problems.append(": ".join(words))
+    problems = notices(controller)
     document = controller.session.state.document
     controller.intake.open_one("notes.jpg", b"not a picture")
     wait_until(lambda: problems, "the user is told")
@@ -375,8 +383,7 @@ def test_cancel_ends_the_reading_of_a_camera_file_and_leaves_no_trace(controller
     assert state.job is None
     assert state.note == "Cancelled; nothing was opened."
     data = b"%YAML:1.0\n---\ncameras: [ ]\n"
-    told: list[str] = []
-    controller.on_problem = lambda *words: told.append(": ".join(words))
+    told = notices(controller)
     controller.intake.open_one("none.yml", data)
     wait_until(lambda: told, "the next file is read")
     assert told == ["Could not open none.yml: none.yml has no cameras."]
@@ -385,7 +392,7 @@ def test_cancel_ends_the_reading_of_a_camera_file_and_leaves_no_trace(controller
 def test_the_overlay_follows_the_cameras_and_tells_the_true_error(controller):
     session = controller.session
     wait(controller, lambda s: s.run.error_px is not None, "the first overlay")
-    first, error = controller.picture, session.state.run.error_px
+    first, error = session.state.picture, session.state.run.error_px
     true = dict(session.state.document.truth)
     session.change("Put right", rules.with_cameras(true))
     assert error is not None
@@ -395,7 +402,7 @@ def test_the_overlay_follows_the_cameras_and_tells_the_true_error(controller):
         lambda s: s.run.error_px is not None and s.run.error_px < 1e-6,
         "the overlay follows",
     )
-    assert controller.picture != first
+    assert session.state.picture != first
 
 
 def test_of_a_stroke_of_a_mask_only_the_mask_is_sent(controller, scene, monkeypatch):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from app.engine.warm_up import toy_scene
-from app.model.messages import PhotoComparison
+from app.model.pictures import PhotoComparison
 from app.model.run import CurvePoint, Run
 from app.model.state import (
     Agreement,

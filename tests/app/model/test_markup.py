@@ -11,9 +11,9 @@ from viser import _messages
 from app.control import run_report
 from app.control.controller import Controller
 from app.model.markup import escaped, in_markdown, mounted, sending
-from app.model.messages import Compared
+from app.model.pictures import Compare, Compared
 from app.model.session import Session
-from app.model.state import PointPair, State
+from app.model.state import PointPair, State, WaitingProject
 from app.page.server import Page
 from app.panels import project
 from app.panels.pair_table import pair_rows, table_html
@@ -99,7 +99,8 @@ def test_no_html_of_ours_has_script_in_an_attribute():
 def test_a_report_of_a_run_keeps_hostile_words_as_words():
     state = hostile_states()[-1]
     cameras = state.document.used_cameras
-    compared = Compared(cameras, cameras, "blend", (hostile_comparison(),))
+    asked = Compare(cameras, cameras, "blend", "clay")
+    compared = Compared(asked, (hostile_comparison(),))
     text = run_report.report_html(state, compared)
     own = Path(run_report.static_folder() / "compare.js").read_text("utf-8")
     assert text.count("<script>") == 1
@@ -108,7 +109,7 @@ def test_a_report_of_a_run_keeps_hostile_words_as_words():
 
 def test_a_question_about_a_file_keeps_hostile_words_as_words():
     problem = FileProblem("key", Path("/somewhere") / WORDS, "missing")
-    check_harmless(project._question(WORDS, [problem]))
+    check_harmless(project._question(WaitingProject(WORDS, (problem,))))
     check_harmless(project._objection_html(WORDS))
 
 

@@ -158,7 +158,8 @@ def test_what_fails_off_the_event_loop_reaches_the_people_too(page, monkeypatch)
         wait_until(page.server.get_clients, "a browser is here")
         (client,) = page.server.get_clients().values()
         # A stroke is painted on a thread; of a project to look at only, it is refused.
-        page.session.read_only = "It is open to look at only."
+        refusal = "It is open to look at only."
+        page.session.change(None, setting(read_only=refusal))
         name = page.session.state.document.photos[0].name
         stroke = {"stroke": [[9, 9]], "radius": 5, "counts": False, "photo": name}
         page._bridge._deliver(json.dumps({"act": "paint", **stroke}), client)

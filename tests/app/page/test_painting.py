@@ -4,6 +4,7 @@ import dataclasses
 
 import pytest
 
+from app.model.pictures import Picture
 from app.model.run import KeptSearch, Run
 from app.model.state import State
 from app.page.server import is_passing
@@ -17,6 +18,7 @@ def test_what_a_run_tells_by_itself_is_passing():
         {"run": further},
         {"kept_search": KeptSearch(1, 4, b"")},
         {"run": further, "agreement": None},
+        {"run": further, "drawn": Picture(b"", None), "surface_glb": b""},
     ):
         assert is_passing(RUNNING, dataclasses.replace(RUNNING, **change)), change
 
