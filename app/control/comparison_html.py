@@ -52,14 +52,14 @@ def comparison_html(photo: PhotoComparison, left: str) -> str:
     )
 
 
-def swipe_html(before: bytes, after: bytes, left: str, right: str = "now") -> str:
+def swipe_html(before: bytes, after: bytes, left: str) -> str:
     """Two pictures with a line between them to be dragged, and a button to blink."""
     return (
         '<div class="pr-swipe">'
-        f'<img class="after" src="{data_uri(after)}" alt="{escaped(right)}">'
+        f'<img class="after" src="{data_uri(after)}" alt="now">'
         f'<img class="before" src="{data_uri(before)}" alt="{escaped(left)}">'
         f'<i></i><b style="left:8px">{escaped(left)}</b>'
-        f'<b style="right:8px">{escaped(right)}</b>'
+        f'<b style="right:8px">now</b>'
         '<input type="range" min="0" max="100" step="0.1" value="50" '
         'aria-label="Line between before and after" '
         'title="Drag the line: before at its left, after at its right" '

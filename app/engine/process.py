@@ -14,8 +14,8 @@ from app.engine.bake_job import BakeJob
 from app.engine.overlay_job import Drawing
 from app.engine.picture_stream import PictureStream
 from app.engine.refine_job import Preparation, RefineJob
+from app.engine.speed_meter import measure_speed
 from app.engine.warm_up import warm_up_steps
-from app.model.durations import measure_speed
 from app.model.masks import decode_mask
 from app.model.messages import (
     SPARE_TIME,

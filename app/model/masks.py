@@ -7,7 +7,6 @@ kilobytes. No viser here.
 import io
 import itertools
 from collections.abc import Sequence
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -16,7 +15,6 @@ from PIL import Image
 from photoreg.errors import InputError
 from photoreg.formats.photos.registry import JPEG, PNG, TIFF, WEBP
 from photoreg.imaging.encoding import encode
-from photoreg.sources import read_regular
 
 MASK_FORMATS = (PNG, JPEG, TIFF, WEBP)
 MASK_SUFFIXES = tuple(suffix for known in MASK_FORMATS for suffix in known.suffixes)
@@ -107,15 +105,6 @@ def painted_mask(
                 grey, corners.astype(np.int32), colour, shift=SUBPIXEL_BITS
             )
     return encode_mask(grey >= 128)
-
-
-def load_mask(path: Path, width: int, height: int) -> bytes | None:
-    """A picture as mask: dark or transparent where the photo does not count.
-
-    Raises:
-        InputError: if it is no picture, or of another shape than the photo.
-    """
-    return mask_of(path.name, read_regular(path), width, height)
 
 
 def mask_of(name: str, content: bytes, width: int, height: int) -> bytes | None:

@@ -266,13 +266,13 @@ class _Question:
         self.modal = client.gui.add_modal(title)
         self._objection: viser.GuiHtmlHandle | None = None
 
-    def end(self, yes: str, then: Callable[[], None]) -> None:
+    def end(self, yes: str, then: Callable[[], object]) -> None:
         """The last two buttons, and above them room for what speaks against an answer."""
         self._objection = self._gui.add_html("", visible=False)
         self.answer(self._gui.add_button(yes), then)
         self.answer(self._gui.add_button("Cancel", color="gray"), lambda: None)
 
-    def answer(self, button: viser.GuiButtonHandle, then: Callable[[], None]) -> None:
+    def answer(self, button: viser.GuiButtonHandle, then: Callable[[], object]) -> None:
         """Has a button do something, which may take long, and then close the question."""
 
         @button.on_click

@@ -19,7 +19,7 @@ from photoreg.imaging.photo import Photo
 from photoreg.parameters.freedom import Freedom, Held
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.genetic_search import GeneticSearch
-from photoreg.search.genetic import GeneticConfig
+from photoreg.search.genetic import Generation, GeneticConfig
 
 MOST_HELD = 3
 """Photos that one is searched for against, at most: the best of those it is compared
@@ -49,10 +49,8 @@ class GrowingStep:
     """Of this stage; 0 is the first population."""
     n_generations: int
     """Of each stage, at most."""
-    best_cost: float
-    """Of this stage; comparable within it only."""
-    median_cost: float
-    quartile_costs: tuple[float, float]
+    newest: Generation
+    """Its costs are comparable within this stage only."""
     evaluations: int
     """Over all stages so far."""
     cameras: tuple[Camera, ...]
@@ -116,9 +114,7 @@ class GrowingSearch:
                     n_stages=len(self.stages),
                     generation=last.restart * genetic.generations + last.generation,
                     n_generations=genetic.generations * genetic.restarts,
-                    best_cost=last.best_cost,
-                    median_cost=last.median_cost,
-                    quartile_costs=last.quartiles,
+                    newest=last,
                     evaluations=evaluations + last.evaluations,
                     cameras=tuple(cameras),
                 )

@@ -107,15 +107,12 @@ class Readiness:
             f"The camera of {name} sees nothing of the surface: align it in tab 2."
             for name in self.blind
         ]
+        lacking = (
+            "texture on the surface: colours cannot decide there; only the outline can"
+        )
         if self.overlap is None:
-            found += [
-                f"{name} shows hardly any shading or texture on the surface: only its "
-                "outline can decide."
-                for name in self.plain
-                if name not in self.featureless
-            ]
-            return tuple(found)
-        if self.overlap == 0.0 and not self.masked:
+            lacking = "shading or texture on the surface: only its outline can decide"
+        elif self.overlap == 0.0 and not self.masked:
             found.append(
                 "No part of the surface is seen by two photos, so they cannot be "
                 "compared: align the cameras, or take photos from nearer viewpoints."
@@ -125,15 +122,14 @@ class Readiness:
                 "The photos hardly overlap on the surface: the answer would be "
                 "poorly determined. Align better, or take photos from nearer viewpoints."
             )
-        if self.overlap >= FEW:
+        if self.overlap is not None and self.overlap >= FEW:
             found += [
                 f"{name} shares hardly any surface with the other photos: only its "
                 "outline will hold it in place."
                 for name in self.alone
             ]
         found += [
-            f"{name} shows hardly any texture on the surface: colours cannot decide "
-            "there; only the outline can."
+            f"{name} shows hardly any {lacking}."
             for name in self.plain
             if name not in self.featureless
         ]

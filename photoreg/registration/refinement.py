@@ -47,6 +47,7 @@ from photoreg.registration.verdict import (
     missed_lens_sentence,
 )
 from photoreg.registration.world import why_of_another_world
+from photoreg.search.genetic import Generation
 from photoreg.words import listed
 
 MIN_OVERLAP = 0.1
@@ -369,14 +370,7 @@ class _Run:
             self.evaluations, self.best = step.evaluations, step.cameras
             words = f"search, photos {step.stage + 1} of {step.n_stages}"
             yield dataclasses.replace(
-                self._progress(
-                    "search",
-                    words,
-                    SEARCH_SHARE * step.fraction,
-                    step.best_cost,
-                    step.median_cost,
-                ),
-                quartile_costs=step.quartile_costs,
+                self._searched(step.newest, words, SEARCH_SHARE * step.fraction),
                 begins=None if step.generation else words,
             )
         self.reason = "All stages of the search are done."
@@ -405,15 +399,9 @@ class _Run:
             begins = None
             if last.generation == 0:
                 begins = f"restart {last.restart + 1} of {settings.restarts}"
+            words = f"generation {self.generations} of {budget}"
             yield dataclasses.replace(
-                self._progress(
-                    "search",
-                    f"generation {self.generations} of {budget}",
-                    share * done / budget,
-                    last.best_cost,
-                    last.median_cost,
-                ),
-                quartile_costs=last.quartiles,
+                self._searched(last, words, share * done / budget),
                 begins=begins,
                 population=Population(last.genes, last.costs, search.gene_map),
             )
@@ -673,6 +661,12 @@ class _Run:
     def _clock(self, phase: Phase) -> None:
         since = self._elapsed_s - sum(self.seconds.values())
         self.seconds[phase] = self.seconds.get(phase, 0.0) + since
+
+    def _searched(self, last: Generation, step: str, fraction: float) -> Progress:
+        return dataclasses.replace(
+            self._progress("search", step, fraction, last.best_cost, last.median_cost),
+            quartile_costs=last.quartiles,
+        )
 
     def _progress(
         self, phase: Phase, step: str, fraction: float, best: float, median: float

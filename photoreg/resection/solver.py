@@ -67,8 +67,6 @@ class Resection:
     """Index, from 0, of the pair with the largest residual."""
     expected_error_px: float
     """Expected error over the surface (root mean square), from the errors of clicks."""
-    focal_error: float
-    """Standard error of the focal length, as a share of itself."""
     k1: float | None = None
     """What the pairs say of the lens's first radial term; the camera has it if they
     decide that it is not 0. None: too few pairs, or the lens was known."""
@@ -201,7 +199,6 @@ def solve_camera(
         rms_px=float(np.sqrt(np.mean(residuals[inliers] ** 2))),
         worst=int(np.argmax(residuals)),
         expected_error_px=expected,
-        focal_error=focal_error,
         k1=None if fit is None else fit.k1,
         k1_error=None if fit is None else fit.k1_error,
         warnings=_warnings(

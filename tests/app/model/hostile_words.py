@@ -108,7 +108,6 @@ def hostile_states() -> list[State]:
         rms_px=1.0,
         worst=0,
         expected_error_px=3.0,
-        focal_error=0.1,
         warnings=("Pair 1 does not",),
     )
     idle = State(

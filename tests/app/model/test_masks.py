@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from app.engine.warm_up import toy_scene
-from app.model.masks import decode_mask, encode_mask, load_mask, painted_mask
+from app.model.masks import decode_mask, encode_mask, mask_of, painted_mask
 from app.model.state import PhotoEntry
 from photoreg.errors import InputError
 
@@ -64,10 +64,10 @@ def test_a_mask_file_is_white_where_the_photo_counts(tmp_path):
     mask[10:30, 20:70] = True
     path = tmp_path / "mask.png"
     Image.fromarray(np.where(mask, 255, 0).astype(np.uint8)).save(path)
-    png = load_mask(path, 80, 60)
+    png = mask_of(path.name, path.read_bytes(), 80, 60)
     assert png is not None
     assert np.array_equal(decode_mask(png), mask)
-    twice = load_mask(path, 160, 120)
+    twice = mask_of(path.name, path.read_bytes(), 160, 120)
     assert twice is not None
     assert np.array_equal(decode_mask(twice)[::2, ::2], mask)
 
@@ -78,7 +78,7 @@ def test_a_transparent_mask_file_counts_by_its_alpha(tmp_path):
     rgba = np.dstack([np.zeros((60, 80, 3), np.uint8), alpha])
     path = tmp_path / "cut-out.png"
     Image.fromarray(rgba).save(path)
-    png = load_mask(path, 80, 60)
+    png = mask_of(path.name, path.read_bytes(), 80, 60)
     assert png is not None
     assert np.array_equal(decode_mask(png), alpha > 0)
 
@@ -87,10 +87,10 @@ def test_a_mask_file_of_another_shape_or_all_dark_is_refused(tmp_path):
     path = tmp_path / "mask.png"
     Image.fromarray(np.full((60, 60), 255, np.uint8)).save(path)
     with pytest.raises(InputError, match=r"60x60 px.*80x60 px"):
-        load_mask(path, 80, 60)
+        mask_of(path.name, path.read_bytes(), 80, 60)
     Image.fromarray(np.zeros((60, 80), np.uint8)).save(path)
     with pytest.raises(InputError, match="dark all over"):
-        load_mask(path, 80, 60)
+        mask_of(path.name, path.read_bytes(), 80, 60)
 
 
 def test_a_photo_s_own_mask_moves_into_its_entry_and_back():
