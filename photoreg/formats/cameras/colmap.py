@@ -192,9 +192,10 @@ def load_colmap_text(folder: Path) -> dict[str, Camera]:
             raise InputError(f"{where} should be CAMERA_ID MODEL WIDTH HEIGHT PARAMS.")
         parameters = numbers(words[4:], len(words) - 4, where, "its parameters")
         size = size_px(words[2], words[3], where)
-        lenses[whole(words[0], where, "the camera's number")] = _Lens(
-            words[1], *size, parameters
-        )
+        number = whole(words[0], where, "the camera's number")
+        if number in lenses:
+            raise InputError(f"{where} is a second camera {number}. Remove one.")
+        lenses[number] = _Lens(words[1], *size, parameters)
     return cameras_by_name(_cameras(lenses, _text_images(folder)), "images.txt")
 
 

@@ -14,11 +14,13 @@ import importlib.util
 import io
 import json
 import struct
+import urllib.parse
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
+from PIL import Image
 from trimesh.resolvers import FilePathResolver
 
 from photoreg.errors import InputError
@@ -77,12 +79,12 @@ def read_glb(path: Path, limits: Limits) -> MeshContents:
     _check_features(path.name, document)
     plain = _Plain(path.name, document, body)
     notes = [*_left_out(document), *plain.make()]
+    beside = _Beside(path, limits)
     scene: Any = trimesh.load_scene(
-        io.BytesIO(plain.file()),
-        file_type="glb",
-        resolver=_Beside(path, limits),
-        process=False,
+        io.BytesIO(plain.file()), file_type="glb", resolver=beside, process=False
     )
+    # trimesh passes over pictures that it does not get.
+    notes += dict.fromkeys(beside.notes)
     return _contents(path.name, scene, limits, notes)
 
 
@@ -92,11 +94,18 @@ class _Beside(FilePathResolver):
     def __init__(self, path: Path, limits: Limits) -> None:
         super().__init__(str(path))
         self._path, self._limits = path, limits
+        self.notes: list[str] = []
+        """A sentence for each file that was asked for and is not read."""
 
     def get(self, name: str) -> bytes:
         """The content of a file beside the mesh."""
-        found, note = find_beside(self._path, name, "file", self._limits)
+        # A URI's %20 is a space, but not every program writes URIs.
+        plain = urllib.parse.unquote(name)
+        found, note = find_beside(self._path, plain, "file", self._limits)
         if found is None:
+            found, _ = find_beside(self._path, name, "file", self._limits)
+        if found is None:
+            self.notes.append(note)
             raise InputError(note)
         return read_regular(found)
 
@@ -470,7 +479,10 @@ def _picture(
                     "read without it."
                 )
             try:
-                pixels = np.asarray(image.convert("RGB"), dtype=np.uint8)
+                shown = image
+                if image.mode.startswith("I"):  # Grey of 16 bits, which Pillow cuts.
+                    shown = Image.fromarray((np.asarray(image) >> 8).astype(np.uint8))
+                pixels = np.asarray(shown.convert("RGB"), dtype=np.uint8)
             except (OSError, ValueError, SyntaxError):
                 return -1, "A texture is damaged, so the mesh was read without it."
             number[id(image)] = len(pictures)

@@ -51,6 +51,13 @@ def colmap_text(folder: Path, camera: str, name: str = "a/b/one photo.jpg") -> P
     return folder
 
 
+def test_two_cameras_of_one_number_are_refused(tmp_path):
+    folder = colmap_text(tmp_path / "m", "PINHOLE 100 80 120 120 49.5 41.5")
+    with (folder / "cameras.txt").open("a") as file:
+        file.write("7 PINHOLE 100 80 900 900 49.5 41.5\n")
+    assert "line 3 is a second camera 7" in refused(folder)
+
+
 @pytest.mark.parametrize("name", ["a.jpg", "a photo of it.jpg", "7 8"])
 def test_images_without_lines_of_points_do_not_swallow_each_other(tmp_path, name):
     folder = colmap_text(tmp_path / "m", "PINHOLE 100 80 120 120 49.5 41.5", "z.jpg")

@@ -341,6 +341,33 @@ QUARTERS[:4, :4], QUARTERS[:4, 4:] = (200, 0, 0), (0, 200, 0)
 QUARTERS[4:, :4], QUARTERS[4:, 4:] = (0, 0, 200), (200, 200, 200)
 
 
+UV = np.array([[0.1, 0.1], [0.9, 0.1], [0.1, 0.9], [0.9, 0.9]], "<f4")
+
+
+@pytest.mark.parametrize("uri", ["my%20skin.png", "my skin.png"])
+def test_a_picture_beside_a_glb_is_found_by_its_uri_or_told(tmp_path, uri):
+    glb = Glb()
+    glb.primitive["attributes"]["TEXCOORD_0"] = glb.add(UV)
+    glb.texture(QUARTERS)
+    glb.document["images"] = [{"uri": uri}]
+    mesh = glb.load(tmp_path)
+    assert mesh.own_texture is None
+    assert "my skin.png is not there" in " ".join(mesh.notes)
+    Image.fromarray(QUARTERS).save(tmp_path / "my skin.png")
+    mesh = glb.load(tmp_path)
+    np.testing.assert_array_equal(mesh.own_texture, QUARTERS)
+    assert mesh.notes == ()
+
+
+def test_a_grey_texture_of_16_bits_is_not_cut(tmp_path):
+    glb = Glb()
+    glb.primitive["attributes"]["TEXCOORD_0"] = glb.add(UV)
+    grey = QUARTERS[..., 2]
+    glb.texture(grey.astype(np.uint16) * 257)
+    mesh = glb.load(tmp_path)
+    np.testing.assert_array_equal(mesh.own_texture, np.dstack([grey] * 3))
+
+
 @pytest.mark.parametrize(
     ("move", "colour"),
     [
