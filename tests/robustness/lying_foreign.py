@@ -93,6 +93,18 @@ def obj_cases() -> Iterator[Case]:
     yield case(
         "colours at some vertices", [f"{vertices[0]} 1 0 0", *vertices[1:], *faces]
     )
+    for key, kind in (("vt", "texture coordinates"), ("vn", "normals")):
+        for word in ("nan", "-1.#IND", "0,5"):
+            ends = "f 1/1/1 2/1/1 3/1/1"
+            other = "vn 0 0 1" if key == "vt" else "vt 0 0"
+            text = [*vertices, f"{key} {word} 0 1", other, ends]
+            yield Case(
+                f"OBJ: {kind} with {word}",
+                "m.obj",
+                "\n".join(text).encode(),
+                "read: 1 triangles" if key == "vt" else "texture coordinates",
+                f"words where the numbers of {kind}",
+            )
     yield case("comments behind numbers", [f"{line} # here" for line in lines])
     yield case("lines that go on", obj().replace(b"f 1 ", b"f 1 \\\n"))
     yield case(

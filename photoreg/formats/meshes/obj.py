@@ -36,6 +36,12 @@ _COMMENT = re.compile(rb"(?m)^([ \t]*(?:v|vt|vn|f)[ \t][^#\r\n]*)(?<=[ \t])#[^\r
 """A comment behind numbers, which tinyobjloader does not expect. It begins a word: what
 MSVC writes for what is no number (-1.#IND, 1.#QNAN) has none in it."""
 
+_WORDS = {
+    key: re.compile(rb"(?m)^[ \t]*%s[ \t][^\r\n]*[^-+.\deE\s]" % key)
+    for key in (b"vt", b"vn")
+}
+"""A line of texture coordinates or normals that holds no numbers only."""
+
 _MOVED_TEXTURE = re.compile(r"\s-(?:s|o|t|mm)\s+(?:-?[\d.]+(?:[eE][-+]?\d+)?\s+)+")
 """Options of a texture in an MTL file that scale, shift, disturb or fade it."""
 _UNMOVED = {"s": {1.0}, "o": {0.0}, "t": {0.0}, "mm": {0.0, 1.0}}
@@ -108,8 +114,21 @@ def read_obj(path: Path, limits: Limits) -> MeshContents:
             f"{len(reader.GetAttrib().vertices) // 3:,} could be read. Export it again."
         )
     cut, polygon = triangle_corners(vertices, corners, counts, path.name)
-    uv = _corner_uv(reader, meshes, cut)
-    normals, normal_note = _normals(reader, meshes, corners, len(vertices))
+    uv, normals, normal_note = None, None, []
+    if _WORDS[b"vt"].search(text):
+        notes.append(
+            "There are words where the numbers of texture coordinates should be, so it was "
+            "read without these."
+        )
+    else:
+        uv = _corner_uv(reader, meshes, cut)
+    if _WORDS[b"vn"].search(text):
+        notes.append(
+            "There are words where the numbers of normals should be, so it was read "
+            "without these."
+        )
+    else:
+        normals, normal_note = _normals(reader, meshes, corners, len(vertices))
     pictures, face_picture = [], None
     if uv is not None:
         pictures, face_picture, picture_notes = _pictures(path, reader, meshes, limits)
