@@ -10,7 +10,7 @@ over blocks, tells; N S^-1 N is then what the term knows, N being its normal mat
 import dataclasses
 
 import numpy as np
-import scipy.stats
+import scipy.special
 from jaxtyping import Float
 
 from photoreg.polish.levenberg_marquardt import Quadratic, Term
@@ -103,5 +103,5 @@ class SandwichTerm:
             self,
             inverse_scatter=self.inverse_scatter / high,
             factor=high,
-            surprise=float(scipy.stats.chi2.sf(chi_square, len(squares))),
+            surprise=float(scipy.special.chdtrc(len(squares), chi_square)),
         )
