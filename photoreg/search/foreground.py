@@ -16,6 +16,7 @@ from scipy.ndimage import distance_transform_edt
 
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
+from photoreg.geometry.projection import homogeneous
 from photoreg.geometry.surface_view import camera_rays, surface_view
 from photoreg.imaging.colour_model import colour_bins, colour_model, object_regions
 from photoreg.imaging.photo import Photo, resized_mask
@@ -139,11 +140,10 @@ def mean_evidence_gap(projections, inside, outside, image):  # noqa: ANN001, ANN
             total = 0.0
             for i in range(len(points)):
                 x, y, z = points[i, 0], points[i, 1], points[i, 2]
-                depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
+                u, v, depth = homogeneous(P, x, y, z)
                 if not depth > 0.0:
                     continue
-                u = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) / depth
-                v = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) / depth
+                u, v = u / depth, v / depth
                 if 0.0 <= u < width - 1.0 and 0.0 <= v < height - 1.0:
                     # Between pixels: the nearest one's would jump at a last digit.
                     column, row = int(u), int(v)

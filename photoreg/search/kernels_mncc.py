@@ -7,6 +7,7 @@ and what is compared is the pattern of colours, not the colours.
 import numba as nb
 import numpy as np
 
+from photoreg.geometry.projection import homogeneous
 from photoreg.imaging.exposure import FASTMATH
 from photoreg.search.kernels import project_all
 
@@ -35,9 +36,8 @@ def sample_patch(patch, P, pixels, offset, width, height, colours):
     mean_0, mean_1, mean_2 = np.float32(0.0), np.float32(0.0), np.float32(0.0)
     for k in range(n):
         x, y, z = patch[k, 0], patch[k, 1], patch[k, 2]
-        depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
-        u = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) / depth
-        v = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) / depth
+        u, v, depth = homogeneous(P, x, y, z)
+        u, v = u / depth, v / depth
         inside = (
             (depth > 0) & (u >= 0) & (u <= width - 1) & (v >= 0) & (v <= height - 1)
         )

@@ -21,6 +21,7 @@ from scipy.cluster.vq import vq
 
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
+from photoreg.geometry.projection import homogeneous
 from photoreg.geometry.surface_descriptors import surface_descriptors
 from photoreg.geometry.surface_view import camera_rays, surface_view
 from photoreg.imaging.colour import convert
@@ -164,11 +165,10 @@ def untold_shares(projections, points, labels, clusters, n_labels, n_clusters): 
         counts = np.zeros((n_labels, n_clusters), np.int32)
         for i in range(n):
             x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
+            u, v, depth = homogeneous(P, x, y, z)
             cluster = n_clusters - 1
             if depth > 0.0:
-                u = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) / depth + 0.5
-                v = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) / depth + 0.5
+                u, v = u / depth + 0.5, v / depth + 0.5
                 if 0.0 <= u < width and 0.0 <= v < height:
                     cluster = clusters[int(v), int(u)]
             counts[labels[i], cluster] += 1

@@ -7,6 +7,8 @@ depend on the number of threads. Called from one compute thread only.
 import numba as nb
 import numpy as np
 
+from photoreg.geometry.projection import homogeneous
+
 MIN_FACING = 0.05
 """The face itself, and not only the smooth surface, must look at the camera."""
 
@@ -43,12 +45,10 @@ def _surface_point(vertices, corners, a, b, c):  # noqa: ANN001, ANN202
 @nb.njit(nogil=True, cache=True, inline="always")
 def _projected(P, x, y, z):  # noqa: ANN001, ANN202
     """Pixel and depth of a point; NaN pixels behind the camera."""
-    depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
+    u, v, depth = homogeneous(P, x, y, z)
     if not depth > 0.0:
         return np.nan, np.nan, depth
-    u = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) / depth
-    v = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) / depth
-    return u, v, depth
+    return u / depth, v / depth, depth
 
 
 @nb.njit(nogil=True, cache=True, inline="always")
