@@ -13,7 +13,6 @@ from photoreg.formats.cameras.registry import read_cameras
 from photoreg.formats.meshes.read import MESH_SUFFIXES, load_mesh
 from photoreg.formats.photos.read import load_photo
 from photoreg.formats.photos.registry import PHOTO_SUFFIXES
-from photoreg.registration.world import in_world_of_mesh
 
 DISPLAY_FACES = 150_000
 """Faces the page draws at most; WebGL in a browser takes 200,000 with ease."""
@@ -57,13 +56,13 @@ def open_folder(folder: Path) -> Document:
         )
     rough, true = folder / ROUGH_CAMERAS, folder / TRUE_CAMERAS
     if rough.exists():
-        file = read_camera_file(document, rough)
+        file = read_cameras(rough, photos=photo_files(document))
         document = with_cameras_of_file(document, file, rough.name)
         if true.exists():
             truth = tuple(load_cameras(true).cameras.items())
             document = dataclasses.replace(document, truth=truth)
     elif true.exists():
-        file = read_camera_file(document, true)
+        file = read_cameras(true, photos=photo_files(document))
         document = with_cameras_of_file(document, file, true.name)
     return document
 
@@ -107,21 +106,6 @@ def open_files(paths: Sequence[Path]) -> Document:
         camera = first_camera(document.mesh, photo, document.up, placed)
         entries.append(PhotoEntry(photo, camera))
     return dataclasses.replace(document, photos=tuple(entries))
-
-
-def read_camera_file(document: Document, path: Path) -> CameraFile:
-    """The cameras of a file or folder of any format, in the world of what is open.
-
-    It may run numba's parallel kernels: to be asked before there are other threads.
-
-    Raises:
-        InputError: if they cannot be read, or are for photos of another size.
-    """
-    file = read_cameras(path, photos=photo_files(document))
-    if document.mesh is None:
-        return file
-    photos = [entry.photo for entry in document.photos]
-    return in_world_of_mesh(document.mesh, photos, file)
 
 
 def photo_files(document: Document) -> dict[str, Path]:

@@ -17,7 +17,7 @@ from app.model.scene_files import (
     demo_folder,
     open_files,
     open_folder,
-    read_camera_file,
+    photo_files,
     with_cameras_of_file,
 )
 from app.model.session import Session
@@ -25,7 +25,9 @@ from app.model.state import Document
 from app.page.server import Page
 from app.web.access import AccessControl
 from photoreg.errors import InputError, OutputError
+from photoreg.formats.cameras.registry import read_cameras
 from photoreg.project.folder import FolderInUseError, check_is_free, holds_project
+from photoreg.registration.world import in_world_of_mesh
 
 
 def run_app(
@@ -163,7 +165,11 @@ def open_document(files: Sequence[Path], cameras: Path | None) -> Document:
             _say(f"Note: {document.mesh.name}: {note}")
     if cameras is None:
         return document
-    file = read_camera_file(document, cameras)
+    file = read_cameras(cameras, photos=photo_files(document))
+    if document.mesh is not None:
+        # Here no other thread runs numba's kernels yet.
+        photos = [entry.photo for entry in document.photos]
+        file = in_world_of_mesh(document.mesh, photos, file)
     for note in file.notes:
         _say(f"Note: {note}")
     return with_cameras_of_file(document, file, cameras.name)
