@@ -13,6 +13,7 @@ import os
 import numba as nb
 import numpy as np
 
+from photoreg.geometry.projection import homogeneous
 from photoreg.imaging.exposure import FASTMATH, group_exposure, pair_exposure
 from photoreg.search.trimmed_mean import N_BUCKETS, trimmed_mean
 
@@ -47,18 +48,15 @@ def project(points, P, center, width, height, min_cosine, allowed, u, v, seen):
     bottom = np.float32(height - 1)
     zero = np.float32(0.0)
     squared_cosine = np.float32(min_cosine * min_cosine)
-    p00, p01, p02, p03 = P[0, 0], P[0, 1], P[0, 2], P[0, 3]
-    p10, p11, p12, p13 = P[1, 0], P[1, 1], P[1, 2], P[1, 3]
-    p20, p21, p22, p23 = P[2, 0], P[2, 1], P[2, 2], P[2, 3]
     cx, cy, cz = center[0], center[1], center[2]
     xs, ys, zs = points[0], points[1], points[2]
     nxs, nys, nzs, nds = points[3], points[4], points[5], points[6]
     for k in range(n):
         x, y, z = xs[k], ys[k], zs[k]
-        depth = p20 * x + p21 * y + p22 * z + p23
+        pixel_x, pixel_y, depth = homogeneous(P, x, y, z)
         inverse = np.float32(1.0) / depth
-        pixel_x = (p00 * x + p01 * y + p02 * z + p03) * inverse
-        pixel_y = (p10 * x + p11 * y + p12 * z + p13) * inverse
+        pixel_x *= inverse
+        pixel_y *= inverse
         # cos >= c, without the root: d >= 0 and d^2 >= c^2 |C - X|^2.
         d = nxs[k] * cx + nys[k] * cy + nzs[k] * cz - nds[k]
         dx, dy, dz = cx - x, cy - y, cz - z
