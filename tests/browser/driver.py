@@ -18,8 +18,8 @@ FLAGS = [
 """Software WebGL, said explicitly: no test may depend on a graphics card."""
 
 PANELS_WITHOUT_GL = "--disable-gpu-compositing"
-"""For tests: with software WebGL for the panels, too, drawing them takes half the time of
-a test. Not where the page is measured."""
+"""With software WebGL for the panels, too, drawing them takes half the time of a test. Not
+where the page is measured."""
 
 COARSE = 0.25
 """Pixel ratio of the 3-D scene for tests that do not look at it: drawing it in software at
