@@ -88,6 +88,17 @@ class Driver:
         """Waits until ``n`` more frames are drawn and all messages are handled."""
         self.page.evaluate(_WAIT_FRAMES, n)
 
+    def rest(self) -> None:
+        """Waits until the view no longer moves: it glides to where it is sent."""
+        places: list[np.ndarray] = []
+
+        def is_at_rest() -> bool:
+            self.frames(5)
+            places.append(self.viewport_camera()[0])
+            return len(places) > 1 and np.array_equal(*places[-2:])
+
+        wait_until(is_at_rest, "the view comes to rest")
+
     def dismiss_toasts(self) -> None:
         """Closes the messages at the top left (software WebGL brings one)."""
         # In the page: messages also go by themselves while one reaches for them.

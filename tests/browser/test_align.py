@@ -27,6 +27,7 @@ def app(running, toy_document):
     session.change(None, select(0))
     running.driver.dismiss_toasts()
     running.driver.tab("2 Align")
+    running.driver.rest()
     yield running
     running.driver.choose("View", "3-D scene")
     running.driver.frames(2)

@@ -1,5 +1,7 @@
 """In Chromium: whatever words a project brings, they are read and never run."""
 
+import dataclasses
+
 import pytest
 
 from app.control.controller import Controller
@@ -53,7 +55,8 @@ def test_hostile_words_are_shown_and_never_run(shown):
 
 def test_clicks_tell_the_server_what_was_clicked_however_it_is_called(shown):
     session, driver, _, states = shown
-    session.change(None, lambda _: states[0])
+    changeable = dataclasses.replace(states[0], read_only="")
+    session.change(None, lambda _: changeable)
     driver.tab("1 Data")
     second = driver.page.locator("[data-photo]").nth(1)
     second.click()
