@@ -95,7 +95,7 @@ class Driver:
         def is_at_rest() -> bool:
             self.frames(5)
             places.append(self.viewport_camera()[0])
-            return len(places) > 1 and np.array_equal(*places[-2:])
+            return len(places) > 1 and np.array_equal(places[-1], places[-2])
 
         wait_until(is_at_rest, "the view comes to rest")
 
