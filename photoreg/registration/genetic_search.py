@@ -63,14 +63,7 @@ class GeneticSearch:
             self.agreement = PhotoConsistency(
                 samples, photos, config.consistency, patches=patches
             )
-        self.gene_map = GeneMap(
-            start,
-            mesh.centroid,
-            config.box,
-            config.camera_model,
-            config.coordinates,
-            freedom,
-        )
+        self.gene_map = search_genes(mesh, start, config, freedom)
         self.hidden_from: np.ndarray | None = None
         """Genes from whose cameras hidden points were last looked for; None: the start."""
         self._resumed: Generation | None = None
@@ -191,3 +184,17 @@ def shared_samples(
         rng = np.random.default_rng(config.seed)
         shared = np.sort(rng.choice(shared, config.samples, replace=False))
     return candidates.subset(shared)
+
+
+def search_genes(
+    mesh: Mesh, start: Sequence[Camera], config: RegistrationConfig, freedom: Freedom
+) -> GeneMap:
+    """The genes of a search around ``start``, lenses apart."""
+    return GeneMap(
+        [camera.pinhole for camera in start],
+        mesh.centroid,
+        config.box,
+        config.camera_model,
+        config.coordinates,
+        freedom,
+    )

@@ -32,7 +32,7 @@ from photoreg.polish.uncertainty import Uncertainty, estimate_uncertainty
 from photoreg.registration.checkpoint import Checkpoint, problem_digest
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.events import Event, Finished, Phase, Population, Progress
-from photoreg.registration.genetic_search import GeneticSearch
+from photoreg.registration.genetic_search import GeneticSearch, search_genes
 from photoreg.registration.growing_search import GrowingSearch
 from photoreg.registration.readiness import check_readiness
 from photoreg.registration.verdict import (
@@ -339,17 +339,6 @@ class _Run:
             self.mesh, self.photos, self.start, self.config, self.freedom
         )
 
-    def _gene_map(self) -> GeneMap:
-        """Of all photos that take part at the end."""
-        return GeneMap(
-            [camera.pinhole for camera in self.start],
-            self.mesh.centroid,
-            self.config.box,
-            self.config.camera_model,
-            self.config.coordinates,
-            self.freedom,
-        )
-
     def _growing_search(self) -> GrowingSearch:
         # It keeps no checkpoint: begun again it ends in the same cameras.
         self.resume, self.generations, self.evaluations = None, 0, 0
@@ -485,8 +474,8 @@ class _Run:
         does not convince: the polish's falls at wrong ends too.
         """
         assert step.disagreement is not None
-        credible = self.verdict is None or self.verdict.is_credible
-        if is_no_worse(
+        # What began at the start has been asked already, by the polish.
+        if step.start_disagreement is start or is_no_worse(
             self.mesh,
             self.reduced,
             (self.best, step.disagreement),
@@ -494,30 +483,31 @@ class _Run:
             self.config.polish,
             self.pairs,
         ):
-            if credible or self._is_better(answer, start):
+            if self.verdict is None or self.verdict.is_credible:
+                return False
+            before = self._against_chance(start, self.start)
+            if is_better(answer, before, self._surface_kept()):
                 return False
             reason = (
                 "The start was kept: with the cameras that were found, colours and "
                 "outlines fit the photos no better."
             )
         else:
+            before = self._against_chance(start, self.start)
             reason = "Nothing better than the start was found."
         self._keep_the_start(reason)
-        self.verdict = decide_verdict(
-            self._against_chance(start, self.start), self._names
-        )
+        self.verdict = decide_verdict(before, self._names)
         return True
 
-    def _is_better(self, answer: Disagreement, start: Disagreement) -> bool:
-        """Whether what the verdict measures is better than at the start."""
-        min_cosine = self.config.polish.min_cosine
-        shared, shared_before = (
-            share_seen_twice(self.mesh, cameras, min_cosine)
+    def _surface_kept(self) -> float:
+        """How much of the surface the photos share, over what they shared at the start."""
+        if len(self.active) == 1:
+            return 1.0  # One photo shares nothing, and need not.
+        shared, before = (
+            share_seen_twice(self.mesh, cameras, self.config.polish.min_cosine)
             for cameras in (self.best, self.start)
         )
-        # One photo shares nothing, and need not.
-        kept = shared / max(shared_before, 1e-9) if len(self.active) > 1 else 1.0
-        return is_better(answer, self._against_chance(start, self.start), kept)
+        return shared / max(before, 1e-9)
 
     def _keep_the_start(self, reason: str) -> None:
         self.best, self.cost = self.start, self.start_cost
@@ -591,11 +581,8 @@ class _Run:
             self.warnings.insert(0, self.verdict.sentence)
         # The search cannot leave its box; the polish can, and by less than half an
         # interval it often rightly does. Convincing cameras are right wherever they are.
-        gene_map = (
-            search.gene_map if isinstance(search, GeneticSearch) else self._gene_map()
-        )
         on_border, warnings = border_warnings(
-            gene_map,
+            search_genes(self.mesh, self.start, self.config, self.freedom),
             self.best,
             1.5 if self.config.polish_after else 0.99,
             self._names,
