@@ -8,6 +8,7 @@ correspondences, leave of them.
 """
 
 import dataclasses
+import itertools
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -20,7 +21,7 @@ from photoreg.imaging.pairs import Pair, points_of_pair, weight_of_pair
 from photoreg.imaging.photo import Photo
 from photoreg.parameters.increments import Increments
 from photoreg.polish.correspondence_term import CorrespondenceTerm
-from photoreg.polish.correspondences import find_correspondences
+from photoreg.polish.correspondences import Correspondences, find_correspondences
 from photoreg.polish.levenberg_marquardt import (
     Damping,
     Iterate,
@@ -99,15 +100,9 @@ def correspondence_terms(
         min_cosine: Least cosine between the surface's normal and the view.
         pairs: Which photos are compared.
     """
-    views = surface_views(mesh, cameras)
-    sides = list(zip(photos, views, strict=True))
     terms = []
-    for i, k in pairs:
-        n = points_of_pair(n_patches, len(pairs), 0) // 2
-        ways = (
-            find_correspondences(mesh, sides[i], sides[k], n, min_cosine),
-            find_correspondences(mesh, sides[k], sides[i], n, min_cosine),
-        )
+    found = _both_ways(mesh, photos, cameras, n_patches, min_cosine, pairs)
+    for (i, k), ways in zip(pairs, found, strict=True):
         if sum(len(way.points) for way in ways) < MIN_CORRESPONDENCES:
             continue
         term = CorrespondenceTerm.measured(
@@ -153,20 +148,33 @@ def median_shift_px(
         The median over all patches of all pairs, in pixels of ``cameras``; None where it
         is not found, or fewer than ``MIN_CORRESPONDENCES`` are.
     """
-    views = surface_views(mesh, cameras)
-    sides = list(zip(photos, views, strict=True))
-    n = points_of_pair(n_patches, len(pairs), 0) // 2
-    ways = [
-        find_correspondences(mesh, sides[own], sides[other], n, min_cosine)
-        for pair in pairs
-        for own, other in (pair, pair[::-1])
-    ]
+    found = _both_ways(mesh, photos, cameras, n_patches, min_cosine, pairs)
+    ways = list(itertools.chain.from_iterable(found))
     shifts_px = np.concatenate([way.shifts_px for way in ways])
     if len(shifts_px) < MIN_CORRESPONDENCES:
         return None
     n_lost = sum(way.n_looked_for for way in ways) - len(shifts_px)
     median = float(np.median(np.append(shifts_px, np.full(n_lost, np.inf))))
     return median if np.isfinite(median) else None
+
+
+def _both_ways(
+    mesh: Mesh,
+    photos: Sequence[Photo],
+    cameras: Sequence[Camera],
+    n_patches: int,
+    min_cosine: float,
+    pairs: Sequence[Pair],
+) -> Iterator[tuple[Correspondences, Correspondences]]:
+    """What is found of each pair, in its first photo and in its second."""
+    views = surface_views(mesh, cameras)
+    sides = list(zip(photos, views, strict=True))
+    n = points_of_pair(n_patches, len(pairs), 0) // 2
+    for i, k in pairs:
+        yield (
+            find_correspondences(mesh, sides[i], sides[k], n, min_cosine),
+            find_correspondences(mesh, sides[k], sides[i], n, min_cosine),
+        )
 
 
 def polish_by_correspondences(
