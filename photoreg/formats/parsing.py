@@ -5,6 +5,7 @@ import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 from photoreg.checks import check_input_file
 from photoreg.errors import InputError
@@ -26,6 +27,27 @@ def read_text(path: Path, what: str, max_mb: float | None = None) -> str:
         return read_regular(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path.name} is not a text file ({what}).") from error
+
+
+def read_xml(path: Path, what: str, program: str) -> ElementTree.Element:
+    """The first element of an XML file, which may not define entities.
+
+    Args:
+        path: The file.
+        what: What it should be, for messages.
+        program: Whose files they are.
+
+    Raises:
+        InputError: as ``read_text``; if it is not XML; if it defines entities, which
+            could make it a thousand times as large.
+    """
+    text = read_text(path, what)
+    if "<!ENTITY" in text:
+        raise InputError(f"{path.name} defines entities, which {program} does not.")
+    try:
+        return ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise InputError(f"{path.name} is not XML: {error}.") from error
 
 
 def read_json(path: Path, what: str) -> Any:

@@ -38,7 +38,7 @@ from photoreg.formats.mark import COMMENT, marked_picture
 from photoreg.formats.parsing import (
     camera_of,
     numbers,
-    read_text,
+    read_xml,
     size_px,
 )
 from photoreg.formats.photos.files import displayed_size, is_turned, path_from
@@ -216,13 +216,7 @@ def load_meshlab(path: Path, photos: Mapping[str, Path]) -> dict[str, Camera]:
         InputError: if it is not a project, a camera is not valid or has lens
             distortion, or its meshes are placed by different matrices.
     """
-    text = read_text(path, "MeshLab project")
-    if "<!ENTITY" in text:
-        raise InputError(f"{path.name} defines entities, which MeshLab does not.")
-    try:
-        document = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise InputError(f"{path.name} is not XML: {error}.") from error
+    document = read_xml(path, "MeshLab project", "MeshLab")
     # MeshLab reads and writes both.
     if document.tag not in ("MeshLabDocument", "MeshLabProject"):
         raise InputError(f"{path.name} is not a MeshLab project.")

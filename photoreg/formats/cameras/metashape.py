@@ -28,7 +28,7 @@ from photoreg.formats.parsing import (
     finite,
     lens_of,
     numbers,
-    read_text,
+    read_xml,
     size_px,
 )
 from photoreg.formats.photos.files import is_photo, photo_of_stem
@@ -80,13 +80,7 @@ def notes_of(path: Path) -> list[str]:
 
 
 def _parsed(path: Path) -> ElementTree.Element:
-    text = read_text(path, "Metashape's cameras")
-    if "<!ENTITY" in text:
-        raise InputError(f"{path.name} defines entities, which Metashape does not.")
-    try:
-        document = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise InputError(f"{path.name} is not XML: {error}.") from error
+    document = read_xml(path, "Metashape's cameras", "Metashape")
     if document.tag != "document":
         raise InputError(
             f"{path.name} is not Metashape's cameras, the only XML that photoreg reads: "
