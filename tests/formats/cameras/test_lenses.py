@@ -118,18 +118,3 @@ def test_colmaps_models_are_read(tmp_path: Path, line: str, lens: Lens) -> None:
     (tmp_path / "cameras.txt").write_text(f"1 {line}\n")
     (tmp_path / "images.txt").write_text("1 1 0 0 0 0 0 0 1 a.png\n\n")
     assert read_cameras(tmp_path).cameras["a.png"].lens == lens
-
-
-def test_pycolmap_projects_the_same_pixels(tmp_path: Path) -> None:
-    pycolmap = pytest.importorskip("pycolmap")
-    for lens in (LENS, Lens(0.1, -0.2, 1e-3, 2e-3)):
-        folder = tmp_path / str(lens.k1)
-        folder.mkdir()
-        camera = _camera(lens)
-        _written(folder, "colmap", camera)
-        model = pycolmap.Reconstruction(str(folder / "model"))
-        image = next(iter(model.images.values()))
-        points = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 3))
-        theirs = [image.project_point(point) for point in points]
-        ours = camera.project(points) + 0.5
-        np.testing.assert_allclose(ours, np.array(theirs), atol=1e-6)
