@@ -39,9 +39,8 @@ from photoreg.formats.writing import Content, check_outputs, check_suffix
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.projection_error import N_SAMPLES, projection_error
-from photoreg.geometry.sampling import sample_surface
 from photoreg.geometry.unseen import why_unseen
-from photoreg.geometry.visibility import seen_points
+from photoreg.geometry.visibility import samples_for, seen_points
 from photoreg.imaging.pairs import pairs_in_words
 from photoreg.imaging.photo import Photo
 from photoreg.paper.reproduce import Reproduced, reproduce
@@ -49,7 +48,11 @@ from photoreg.parameters.freedom import Freedom
 from photoreg.registration.config import PresetName, RegistrationConfig
 from photoreg.registration.events import Finished, Progress
 from photoreg.registration.refinement import refine
-from photoreg.registration.world import in_world_of_mesh, why_of_another_world
+from photoreg.registration.world import (
+    in_world_of_mesh,
+    why_convincing_elsewhere,
+    why_of_another_world,
+)
 from photoreg.synthetic.options import SceneOptions
 from photoreg.synthetic.scene import make_scene, write_scene
 from photoreg.texture.bake import BakingStep, TexturedMesh, baking
@@ -323,11 +326,14 @@ def evaluate_command(
 
 def _why_blind(surface: Mesh, camera: Camera) -> str:
     """Why a camera sees nothing of the surface; empty where it sees some."""
-    points = sample_surface(surface, N_SAMPLES, seed=0).points
+    points = samples_for(surface, [camera], N_SAMPLES, seed=0).points
     if seen_points(surface, camera, points).any():
         return ""
     return f"sees nothing of {surface.name}. {why_unseen(surface, [camera])}"
 
+
+LITTLE_SEEN = 0.1
+"""A texture that covers less of the surface is told as what may be a fault."""
 
 _FIGURES = ("mean", "rms", "median", "max")
 
@@ -367,9 +373,9 @@ def texture_command(
         targets.append(check_suffix(coverage, (".png",)))
     check_outputs(targets, (mesh, *photos, cameras), overwrite)
     surface, pictures, _, exact = _load_scene(mesh, photos, cameras)
-    why = why_of_another_world(surface, pictures, exact)
-    if why is not None:
-        raise InputError(why)
+    for find_why in (why_of_another_world, why_convincing_elsewhere):
+        if (why := find_why(surface, pictures, exact)) is not None:
+            raise InputError(why)
     # Once more: the mesh may have named a material and a texture of its own.
     check_outputs(targets, (mesh, *photos, cameras), overwrite)
     began = time.perf_counter()
@@ -397,6 +403,12 @@ def texture_command(
         f"{width}x{height}, {textured.layout_in_words}, {elapsed_s:.1f} s. "
         f"Written: {', '.join(str(path) for path in written)}."
     )
+    if textured.seen_share < LITTLE_SEEN:
+        _log.print(
+            f"Warning: only {percent(textured.seen_share)} of the surface is painted. If the "
+            "photos show more of it, cameras and mesh are not of one world: check the axes, "
+            "the units and the origin of both."
+        )
     if told := _left_out(pictures, textured):
         _log.print(told)
     for photo, camera, share in zip(

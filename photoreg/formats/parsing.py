@@ -23,10 +23,21 @@ def read_text(path: Path, what: str, max_mb: float | None = None) -> str:
         InputError: if it is missing, empty, too long or not UTF-8.
     """
     check_input_file(path, what, max_mb or Limits.of_environment().camera_file_mb)
+    content = read_regular(path)
+    refuse_utf16(path, content)
     try:
-        return read_regular(path).decode("utf-8-sig")
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path.name} is not a text file ({what}).") from error
+
+
+def refuse_utf16(path: Path, content: bytes) -> None:
+    """Raises InputError if text, by its first two bytes, is in UTF-16."""
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\0" in content[:2]:
+        raise InputError(
+            f"{path.name} is text in UTF-16 (Windows calls it Unicode), which is not read. "
+            "Save it as UTF-8: in Notepad by Save as, with the encoding UTF-8."
+        )
 
 
 def read_xml(path: Path, what: str, program: str) -> ElementTree.Element:

@@ -9,9 +9,8 @@ from jaxtyping import Float
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
-from photoreg.geometry.sampling import sample_surface
 from photoreg.geometry.unseen import why_unseen
-from photoreg.geometry.visibility import seen_points
+from photoreg.geometry.visibility import samples_for, seen_points
 
 N_SAMPLES = 10_000
 """Surface points over which errors are measured, seen or not."""
@@ -87,7 +86,7 @@ class Truth:
     ) -> None:
         """The arguments and errors are those of the function ``projection_error``."""
         self.cameras = tuple(cameras)
-        points = sample_surface(mesh, n_samples, seed=0).points
+        points = samples_for(mesh, cameras, n_samples, seed=0).points
         self._points: list[Float[np.ndarray, "n 3"]] = []
         self._pixels: list[Float[np.ndarray, "n 2"]] = []
         for number, camera in enumerate(cameras, 1):

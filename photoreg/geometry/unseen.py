@@ -153,7 +153,7 @@ def _guesses(mesh: Mesh, cameras: Sequence[Camera]) -> Iterator[Guess]:
         "Give the inverse: R transposed, and minus R transposed times t.",
         _changed(cameras, lambda R, t: (R.T, -R.T @ t)),
     )
-    for axes, turn in _turns():
+    for axes, turn in turns():
         yield Guess(
             "The mesh's axes are not the cameras': the surface would be seen if its "
             f"x, y, z were {axes}. Export the mesh with the other axis up, as the "
@@ -168,7 +168,7 @@ def _guesses(mesh: Mesh, cameras: Sequence[Camera]) -> Iterator[Guess]:
             cameras,
             scale=scale,
         )
-    for axes, turn in _turns():
+    for axes, turn in turns():
         for scale in SCALES:
             yield Guess(
                 "Neither units nor axes of the mesh are the cameras': the surface would "
@@ -200,7 +200,7 @@ def _changed(
     return changed
 
 
-def _turns() -> Iterator[tuple[str, Float[np.ndarray, "3 3"]]]:
+def turns() -> Iterator[tuple[str, Float[np.ndarray, "3 3"]]]:
     """All ways to name the axes but the given one, in words; rotations come first."""
     ways = []
     for order in itertools.permutations(range(3)):

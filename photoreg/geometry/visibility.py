@@ -1,5 +1,6 @@
 """Which surface points a camera sees: by normals, by rays, by a depth buffer."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Literal
 
@@ -9,6 +10,7 @@ from jaxtyping import Bool, Float
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import TOLERANCE, Mesh
 from photoreg.geometry.rasteriser import render_geometry
+from photoreg.geometry.ray_hits import surface_hits
 from photoreg.geometry.sampling import SurfaceSamples, sample_surface
 
 VisibilityMethod = Literal["normals", "rays", "depth"]
@@ -18,6 +20,73 @@ DEPTH_WIDTH_PX = 1024
 
 N_SAMPLES = 2_000
 """Shares of the surface are then right to 1 % (one standard error, at a half)."""
+LEAST_SEEN = 0.02
+"""Cameras that see less than this share of a surface show a detail of it: points spread
+over all of it would miss what they see."""
+STEEP_COSINE = 0.25
+"""A ground that runs to the horizon fills much of the area and little of a photo: what is
+seen flatter than this does not count for that."""
+
+
+def samples_for(
+    mesh: Mesh, cameras: Sequence[Camera], n_samples: int, seed: int
+) -> SurfaceSamples:
+    """Points of a mesh by which to tell what cameras see.
+
+    Spread over its area; or, where cameras show but a detail of it, as of a site or of a
+    room, over their photos.
+
+    Args:
+        mesh: The surface.
+        cameras: The cameras.
+        n_samples: How many points, at least 1; over photos fewer, if these show background.
+        seed: Same seed, same points.
+
+    Raises:
+        InputError: if fewer than one point is asked for.
+    """
+    samples = sample_surface(mesh, n_samples, seed)
+    if not _show_a_detail(mesh, cameras, samples):
+        return samples
+    rng = np.random.default_rng(seed)
+    n_rays = -(-n_samples // len(cameras))
+    found = [_samples_of_photo(mesh, camera, n_rays, rng) for camera in cameras]
+    detail = SurfaceSamples(
+        *(
+            np.concatenate([getattr(one, field.name) for one in found])
+            for field in dataclasses.fields(SurfaceSamples)
+        )
+    )
+    return detail if len(detail) else samples
+
+
+def middle_for(mesh: Mesh, cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
+    """The middle of what cameras look at: the mesh's centroid, or that of a detail."""
+    samples = sample_surface(mesh, N_SAMPLES, 0)
+    if not _show_a_detail(mesh, cameras, samples):
+        return mesh.centroid
+    return samples_for(mesh, cameras, N_SAMPLES, 0).points.mean(axis=0)
+
+
+def _show_a_detail(
+    mesh: Mesh, cameras: Sequence[Camera], samples: SurfaceSamples
+) -> bool:
+    """Whether cameras see less than ``LEAST_SEEN`` of a mesh, as points on it tell."""
+    seen = np.zeros(len(samples), dtype=bool)
+    for camera in cameras:
+        is_steep = _faces(samples, camera, STEEP_COSINE)
+        is_steep |= ~_faces(samples, camera, -STEEP_COSINE)
+        seen |= is_steep & seen_points(mesh, camera, samples.points)
+    return len(cameras) > 0 and bool(seen.mean() < LEAST_SEEN)
+
+
+def _samples_of_photo(
+    mesh: Mesh, camera: Camera, n_rays: int, rng: np.random.Generator
+) -> SurfaceSamples:
+    """Where rays through places drawn evenly from the photo meet a mesh."""
+    pixels = rng.random((n_rays, 2)) * [camera.width, camera.height] - 0.5
+    _, hits = surface_hits(mesh, *camera.rays(pixels))
+    return SurfaceSamples(hits.points, hits.normals, hits.face)
 
 
 def visible(
@@ -43,9 +112,7 @@ def visible(
     """
     rows = []
     for camera in cameras:
-        to_camera = camera.center - samples.points
-        cosine = np.einsum("nd,nd->n", samples.normals, to_camera)
-        facing = cosine >= min_cosine * np.linalg.norm(to_camera, axis=1)
+        facing = _faces(samples, camera, min_cosine)
         # NaN, behind the camera, compares as outside.
         seen = facing & camera.contains(camera.project(samples.points))
         if method != "normals" and seen.any():
@@ -59,9 +126,19 @@ def visible(
     return np.array(rows)
 
 
-def share_seen_twice(mesh: Mesh, cameras: Sequence[Camera], min_cosine: float) -> float:
-    """Of the mesh's surface: the share that two cameras or more see, by rays."""
-    samples = sample_surface(mesh, N_SAMPLES, seed=0)
+def _faces(
+    samples: SurfaceSamples, camera: Camera, min_cosine: float
+) -> Bool[np.ndarray, "n"]:
+    """Whether normals are within ``acos(min_cosine)`` of the direction to a camera."""
+    to_camera = camera.center - samples.points
+    cosine = np.einsum("nd,nd->n", samples.normals, to_camera)
+    return cosine >= min_cosine * np.linalg.norm(to_camera, axis=1)
+
+
+def share_seen_twice(
+    samples: SurfaceSamples, mesh: Mesh, cameras: Sequence[Camera], min_cosine: float
+) -> float:
+    """Of points on a mesh: the share that two cameras or more see, by rays."""
     seen = visible(samples, cameras, mesh, "rays", min_cosine)
     return float((seen.sum(axis=0) >= 2).mean())
 

@@ -12,8 +12,7 @@ from jaxtyping import Float
 
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
-from photoreg.geometry.sampling import sample_surface
-from photoreg.geometry.visibility import visible
+from photoreg.geometry.visibility import samples_for, visible
 from photoreg.imaging.photo import Photo
 from photoreg.words import listed
 
@@ -65,7 +64,7 @@ def pair_scores(
         The choice of views by M. Goesele et al., "Multi-View Stereo for Community Photo
         Collections", ICCV 2007, section 4.1, doi:10.1109/ICCV.2007.4408933.
     """
-    samples = sample_surface(mesh, N_SAMPLES, seed=0)
+    samples = samples_for(mesh, cameras, N_SAMPLES, seed=0)
     seen = visible(samples, cameras, mesh, "rays", MIN_COSINE)
     n = len(photos)
     cosines = np.zeros(seen.shape)

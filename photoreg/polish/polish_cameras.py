@@ -12,7 +12,6 @@ from photoreg.errors import InputError, RefinementError
 from photoreg.geometry.camera import Camera, reduced_size
 from photoreg.geometry.lens import N_TERMS, Distortion
 from photoreg.geometry.mesh import Mesh
-from photoreg.geometry.sampling import sample_surface
 from photoreg.geometry.surface_descriptors import surface_descriptors
 from photoreg.geometry.surface_view import (
     SurfaceView,
@@ -20,6 +19,7 @@ from photoreg.geometry.surface_view import (
     surface_view,
     surface_views,
 )
+from photoreg.geometry.visibility import samples_for
 from photoreg.imaging.pairs import (
     Pair,
     choose_pairs,
@@ -316,7 +316,7 @@ def polish_cameras(
     moving = _Moving.of(increments, x_start, freedom)
     matches = config.use_correspondences and config.use_colour and len(photos) > 1
     n_levels = len(config.blurs_px) + matches
-    surface = sample_surface(mesh, SETTLING_POINTS, seed).points
+    surface = samples_for(mesh, cameras, SETTLING_POINTS, seed).points
     x, done = x_start, 0
     latest = None
     terms: list[PolishTerm] = []

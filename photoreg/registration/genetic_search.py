@@ -8,7 +8,7 @@ from photoreg.errors import InputError, RefinementError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.sampling import SurfaceSamples, sample_surface
-from photoreg.geometry.visibility import visible
+from photoreg.geometry.visibility import middle_for, samples_for, visible
 from photoreg.imaging.photo import Photo
 from photoreg.imaging.undistort import undistorted_photo
 from photoreg.parameters.freedom import Freedom
@@ -171,7 +171,7 @@ def shared_samples(
     if not config.focus_samples:
         return sample_surface(mesh, config.samples, config.seed)
     # Ten times as many as wanted are enough where a tenth of the surface is shared.
-    candidates = sample_surface(mesh, 10 * config.samples, config.seed)
+    candidates = samples_for(mesh, cameras, 10 * config.samples, config.seed)
     seen = visible(candidates, cameras, mesh, "rays", config.consistency.min_cosine)
     shared = np.flatnonzero(seen.sum(axis=0) >= 2)
     if len(shared) < 10:
@@ -192,7 +192,7 @@ def search_genes(
     """The genes of a search around ``start``, lenses apart."""
     return GeneMap(
         [camera.pinhole for camera in start],
-        mesh.centroid,
+        middle_for(mesh, start),
         config.box,
         config.camera_model,
         config.coordinates,

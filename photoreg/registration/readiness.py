@@ -11,9 +11,8 @@ from jaxtyping import Bool, Float
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
-from photoreg.geometry.sampling import sample_surface
 from photoreg.geometry.surface_view import surface_view
-from photoreg.geometry.visibility import visible
+from photoreg.geometry.visibility import samples_for, visible
 from photoreg.geometry.winding import facing_cameras
 from photoreg.imaging.photo import Photo
 from photoreg.polish.silhouette_term import SEGMENT_POINTS, find_edges, find_rim
@@ -155,7 +154,7 @@ def check_readiness(
             "per photo."
         )
     mesh = facing_cameras(mesh, cameras)
-    samples = sample_surface(mesh, N_SAMPLES, 0)
+    samples = samples_for(mesh, cameras, N_SAMPLES, 0)
     seen = visible(samples, cameras, mesh, "rays", MIN_COSINE)
     masked, counted = [], []
     for photo, camera, own in zip(photos, cameras, seen, strict=True):

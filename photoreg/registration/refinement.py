@@ -9,11 +9,15 @@ import numpy as np
 from photoreg.errors import InputError, RefinementError
 from photoreg.geometry.camera import Camera, reduced_size
 from photoreg.geometry.mesh import Mesh
-from photoreg.geometry.sampling import sample_surface
 from photoreg.geometry.slippage import slippage_words
 from photoreg.geometry.surface_descriptors import surface_descriptors
 from photoreg.geometry.unseen import why_unseen
-from photoreg.geometry.visibility import share_seen_twice, visible
+from photoreg.geometry.visibility import (
+    middle_for,
+    samples_for,
+    share_seen_twice,
+    visible,
+)
 from photoreg.geometry.winding import facing_cameras
 from photoreg.imaging.pairs import (
     ALL_UP_TO,
@@ -46,7 +50,7 @@ from photoreg.registration.verdict import (
     is_better,
     missed_lens_sentence,
 )
-from photoreg.registration.world import why_of_another_world
+from photoreg.registration.world import why_convincing_elsewhere, why_of_another_world
 from photoreg.search.genetic import Generation
 from photoreg.words import listed
 
@@ -136,7 +140,7 @@ class _Run:
         self.mesh, self.config = facing_cameras(mesh, cameras), config
         self.given_photos, self.given = tuple(photos), tuple(cameras)
         self.given_freedom = freedom
-        self.begun = freedom.begin(self.given, mesh.centroid)
+        self.begun = freedom.begin(self.given, middle_for(mesh, self.given))
         """The cameras given, with one focal length where photos share it."""
         self.active = tuple(range(len(photos)))
         """Which photos take part: those whose cameras see the surface."""
@@ -234,9 +238,8 @@ class _Run:
         why = why_of_another_world(self.mesh, self.given_photos, self.begun)
         if why is not None:
             raise RefinementError(why)
-        seen = visible(
-            sample_surface(self.mesh, 2000, 0), self.begun, self.mesh, "rays", 0.0
-        )
+        samples = samples_for(self.mesh, self.begun, 2000, 0)
+        seen = visible(samples, self.begun, self.mesh, "rays", 0.0)
         self.active = tuple(np.flatnonzero(seen.any(axis=1)).tolist())
         self.best = self.start
         if not self.active:
@@ -503,8 +506,10 @@ class _Run:
         """How much of the surface the photos share, over what they shared at the start."""
         if len(self.active) == 1:
             return 1.0  # One photo shares nothing, and need not.
+        samples = samples_for(self.mesh, self.start, 2000, 0)
+        min_cosine = self.config.polish.min_cosine
         shared, before = (
-            share_seen_twice(self.mesh, cameras, self.config.polish.min_cosine)
+            share_seen_twice(samples, self.mesh, cameras, min_cosine)
             for cameras in (self.best, self.start)
         )
         return shared / max(before, 1e-9)
@@ -594,6 +599,8 @@ class _Run:
             self.verdict = doubting_the_centre(self.verdict, far)
         if self.verdict is None or self.verdict.grade != "convincing":
             self.warnings += warnings
+            why = why_convincing_elsewhere(self.mesh, self.photos, self.start)
+            self.warnings += [] if why is None else [why]
         expected_errors_px, standard_errors, undetermined = self._how_sure()
         return Finished(
             cameras=self._all(self.best),

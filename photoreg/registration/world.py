@@ -8,15 +8,20 @@ they show unrelated places.
 import dataclasses
 from collections.abc import Sequence
 
+import numpy as np
+
 from photoreg.errors import RefinementError
 from photoreg.formats.cameras.cameras_json import CameraFile
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
-from photoreg.geometry.unseen import guesses_by_view, share_in_view
+from photoreg.geometry.unseen import guesses_by_view, share_in_view, turns
+from photoreg.imaging.pairs import ALL_UP_TO
 from photoreg.imaging.photo import Photo
 from photoreg.imaging.undistort import undistorted_photo
+from photoreg.polish.misfit import against_chance, disagreement
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.genetic_search import shared_samples
+from photoreg.registration.verdict import decide_verdict
 from photoreg.search.photo_consistency import PhotoConsistency
 
 LITTLE_IN_VIEW = 0.5
@@ -28,6 +33,8 @@ CLEARLY = 0.5
 do in another one, and of chance. True cameras measured 0.001 to 0.17 of chance where the
 light is the same, rough ones 0.4 to 0.7, true ones in a wrong world mostly 0.5 to 1, and
 less on plain backgrounds and flat objects, where nothing is decided."""
+
+MIRROR = np.diag([-1.0, 1.0, 1.0])
 
 
 def share_of_chance(
@@ -97,6 +104,89 @@ def why_of_another_world(
         f"Cameras and mesh are not of one world: {100.0 * share:.0f} % of the surface is "
         f"in view, where the photos do not agree. {sentence}"
     )
+
+
+def why_convincing_elsewhere(
+    mesh: Mesh, photos: Sequence[Photo], cameras: Sequence[Camera]
+) -> str | None:
+    """In which axes of the mesh cameras would be convincing, if they are not as it is.
+
+    Mirrored ones among them: no cameras fit a mirrored object, unless it is symmetric.
+    Only cameras that are right to some pixels show this, as those of another program.
+
+    Args:
+        mesh: The surface.
+        photos: The photos.
+        cameras: One camera a photo.
+
+    Returns:
+        Sentences that say so; None where nothing speaks for it.
+    """
+    if len(photos) < 2 or _are_convincing(mesh, photos, cameras):
+        return None
+    few = slice(ALL_UP_TO)
+    photos = [
+        undistorted_photo(photo, camera)
+        for photo, camera in zip(photos[few], cameras[few], strict=True)
+    ]
+    cameras = [camera.pinhole for camera in cameras[few]]
+    given = share_of_chance(mesh, photos, cameras)
+    for axes, turn in turns():
+        is_mirrored = np.linalg.det(turn) < 0.0
+        world = _mirrored(photos, cameras) if is_mirrored else (photos, cameras)
+        turn = MIRROR @ turn if is_mirrored else turn
+        seen = [
+            dataclasses.replace(camera, R_cam_world=camera.R_cam_world @ turn)
+            for camera in world[1]
+        ]
+        # A plain background agrees with itself, but no outline falls on it.
+        if agree_clearly_better(
+            share_of_chance(mesh, world[0], seen), given
+        ) and _are_convincing(mesh, world[0], seen):
+            return (
+                "The mesh is a mirror image: the photos do not agree on it, but do if its "
+                f"x, y, z are {axes}. No cameras fit a mirrored object. Export it anew, "
+                "with the handedness of the cameras."
+                if is_mirrored
+                else "The mesh's axes are not the cameras': the photos do not agree on it, "
+                f"but do if its x, y, z are {axes}. Export it with the other axis up, as "
+                "the cameras have it."
+            )
+    return None
+
+
+def _mirrored(
+    photos: Sequence[Photo], cameras: Sequence[Camera]
+) -> tuple[list[Photo], list[Camera]]:
+    """What cameras would have taken in a world whose x is turned round."""
+    return [
+        dataclasses.replace(
+            photo,
+            pixels=np.ascontiguousarray(photo.pixels[:, ::-1]),
+            mask=None if photo.mask is None else photo.mask[:, ::-1].copy(),
+        )
+        for photo in photos
+    ], [
+        dataclasses.replace(
+            camera,
+            K=camera.K * [[1, 1, -1], [1, 1, 1], [1, 1, 1]]
+            + [[0, 0, camera.width - 1], [0, 0, 0], [0, 0, 0]],
+            R_cam_world=MIRROR @ camera.R_cam_world @ MIRROR,
+            t_cam_world=MIRROR @ camera.t_cam_world,
+        )
+        for camera in cameras
+    ]
+
+
+def _are_convincing(
+    mesh: Mesh, photos: Sequence[Photo], cameras: Sequence[Camera]
+) -> bool:
+    """Whether cameras that nobody refined would be called convincing."""
+    config = RegistrationConfig().polish
+    small = [photo.resized(config.max_side_px) for photo in photos]
+    fit = disagreement(mesh, small, cameras, config.min_cosine)
+    fit = against_chance(fit, mesh, small, cameras)
+    return decide_verdict(fit, [photo.name for photo in photos]).grade == "convincing"
 
 
 def is_of_world_before(

@@ -9,8 +9,7 @@ from jaxtyping import Float
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
-from photoreg.geometry.sampling import sample_surface
-from photoreg.geometry.visibility import seen_points
+from photoreg.geometry.visibility import middle_for, samples_for, seen_points
 from photoreg.parameters.freedom import Freedom
 from photoreg.parameters.genes import CameraModel, Coordinates, GeneBox, GeneMap
 
@@ -57,7 +56,7 @@ def box_reach(
     Raises:
         InputError: if no camera sees the surface.
     """
-    points = sample_surface(mesh, N_POINTS, seed=0).points
+    points = samples_for(mesh, cameras, N_POINTS, seed=0).points
     seen = [points[seen_points(mesh, camera, points)] for camera in cameras]
     kept = [i for i, own in enumerate(seen) if len(own) > 0]
     if not kept:
@@ -65,11 +64,11 @@ def box_reach(
             "No camera sees the surface, so there is no telling how far a search would "
             "reach; align the cameras first."
         )
-    freedom = freedom or Freedom()
-    begun = freedom.begin(cameras, mesh.centroid)
+    freedom, middle = freedom or Freedom(), middle_for(mesh, cameras)
+    begun = freedom.begin(cameras, middle)
     gene_map = GeneMap(
         [begun[i] for i in kept],
-        mesh.centroid,
+        middle,
         box,
         model,
         coordinates,

@@ -14,13 +14,13 @@ from photoreg.formats.models.ply import ply_bytes
 from photoreg.formats.writing import Content, write_files
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
+from photoreg.geometry.ray_hits import Hits
 from photoreg.imaging.photo import Photo
 from photoreg.synthetic.noise import SolidNoise
 from photoreg.synthetic.options import SceneOptions as SceneOptions
 from photoreg.synthetic.options import SceneSettings
 from photoreg.synthetic.render import (
     Backdrop,
-    Hits,
     Shade,
     decode_srgb,
     encode_srgb,

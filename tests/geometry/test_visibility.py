@@ -6,7 +6,12 @@ import pytest
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.sampling import sample_surface
-from photoreg.geometry.visibility import share_seen_twice, visible
+from photoreg.geometry.visibility import (
+    middle_for,
+    samples_for,
+    share_seen_twice,
+    visible,
+)
 from tests.scenes import small_scene
 
 METHODS = ("normals", "rays", "depth")
@@ -94,12 +99,35 @@ def test_what_lies_outside_the_photo_or_behind_is_not_seen(method):
     assert not visible(samples, [aside, behind], mesh, method).any()
 
 
+def test_what_is_seen_tells_where_points_are_drawn():
+    mesh, camera = two_walls(), front_camera()
+    whole = samples_for(mesh, [camera], 2000, 1)
+    np.testing.assert_array_equal(whole.points, sample_surface(mesh, 2000, 1).points)
+    assert middle_for(mesh, [camera]) is mesh.centroid
+    # The far wall a hundred times as large, and slid aside until the camera sees 1 in
+    # 10,000 of both.
+    vertices = mesh.vertices.copy()
+    vertices[4:] = vertices[4:] * [100.0, 100.0, 1.0] + [199.0, 0.0, 0.0]
+    mesh = Mesh(vertices, mesh.faces)
+    detail = samples_for(mesh, [camera], 2000, 1)
+    seen = visible(detail, [camera], mesh, "rays", 0.25)[0]
+    assert seen.mean() > 0.99, seen.mean()
+    assert 200 < seen.sum() <= 2000
+    pixels = camera.project(detail.points)
+    assert (np.ptp(pixels, axis=0) > 100.0).all()
+    # The far wall is seen from x = -1 to 4 only; its middle is at 199.
+    np.testing.assert_allclose(middle_for(mesh, [camera]), [1.5, 0, 1.0], atol=0.5)
+    same = samples_for(mesh, [camera], 2000, 1)
+    np.testing.assert_array_equal(same.points, detail.points)
+
+
 def test_seen_twice_is_what_two_cameras_see():
     mesh, camera = two_walls(), front_camera()
     # Its frame is 0.8 by 0.6 of the near wall; the walls are 1 by 1 and 4 by 4.
     close = Camera.look_at([0.1, 0.15, -0.5], [0.1, 0.15, 0], [0, -1, 0], 200, 320, 240)
-    share = share_seen_twice(mesh, [camera, close], 0.25)
+    samples = sample_surface(mesh, 2000, 0)
+    share = share_seen_twice(samples, mesh, [camera, close], 0.25)
     # Three standard errors of 2,000 samples.
     assert np.isclose(share, 0.48 / 17.0, atol=0.011), share
-    assert share_seen_twice(mesh, [camera, close, close], 0.25) >= share
-    assert share_seen_twice(mesh, [camera], 0.25) == 0.0
+    assert share_seen_twice(samples, mesh, [camera, close, close], 0.25) >= share
+    assert share_seen_twice(samples, mesh, [camera], 0.25) == 0.0

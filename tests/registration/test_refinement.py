@@ -8,6 +8,7 @@ import pytest
 
 from photoreg.errors import InputError, RefinementError
 from photoreg.geometry.camera import Camera
+from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.projection_error import projection_error
 from photoreg.parameters.bounds import PriorScales
 from photoreg.parameters.genes import GeneBox, GeneMap
@@ -81,6 +82,33 @@ def test_the_default_preset_finds_the_cameras():
     # The mesh is exact, so what is told of it is the matches' own noise.
     assert last.mesh_error is not None
     assert last.mesh_error.sigma < 1e-3 * scene.mesh.diagonal
+
+
+def on_a_site(scene, diagonals: float) -> Mesh:
+    """The object, and a wall behind the cameras that is so many times as large."""
+    mesh = scene.mesh
+    middle = mesh.bounds.mean(axis=0)
+    back = np.mean([camera.center for camera in scene.cameras], axis=0) - middle
+    back /= np.linalg.norm(back)
+    across, along = diagonals * mesh.diagonal * np.linalg.svd(back[None])[2][1:]
+    behind = middle + 10.0 * mesh.diagonal * back
+    wall = [behind + i * across + k * along for i, k in ((-1, -1), (1, -1), (1, 1))]
+    n = len(mesh.vertices)
+    faces = np.vstack([mesh.faces, [n, n + 1, n + 2]])
+    return Mesh(np.vstack([mesh.vertices, wall]), faces)
+
+
+def test_a_detail_of_a_large_site_is_refined_as_by_itself():
+    scene = small_scene()
+    site = on_a_site(scene, 30.0)
+    assert scene.mesh.area < 0.001 * site.area
+    *_, last = refine(site, scene.photos, scene.rough_cameras)
+    assert isinstance(last, Finished)
+    after = projection_error(scene.mesh, scene.cameras, last.cameras).mean
+    # As without the wall.
+    assert after < 0.5, after
+    assert last.verdict is not None
+    assert last.verdict.grade == "convincing"
 
 
 def test_a_search_that_misleads_is_not_followed():

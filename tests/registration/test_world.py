@@ -1,6 +1,7 @@
 """Cameras and meshes of different worlds are told apart by what the photos show."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -14,10 +15,13 @@ from photoreg.registration.world import (
     in_world_of_mesh,
     is_of_world_before,
     share_of_chance,
+    why_convincing_elsewhere,
     why_of_another_world,
 )
+from photoreg.synthetic.rough_cameras import rough_start
 from tests.moved_cameras import SCALE, TURN, write_moved
 from tests.polish_scene import make_polish_scene, moved
+from tests.scenes import small_scene
 
 Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 
@@ -61,6 +65,43 @@ def test_cameras_of_the_mesh_s_world_are_left_in_peace(scene):
 def test_photos_agree_in_their_own_world_only(scene, turned):
     assert share_of_chance(scene.mesh, scene.photos, scene.cameras) < 0.05
     assert share_of_chance(turned, scene.photos, scene.cameras) > 0.5
+
+
+def turned_by(mesh, turn):
+    """The surface with other axes; a mirror image keeps its outside."""
+    order = 1 if np.linalg.det(turn) > 0.0 else -1
+    return Mesh(mesh.vertices @ turn.T, mesh.faces[:, ::order].copy())
+
+
+@pytest.mark.parametrize(
+    ("turn", "said"),
+    [
+        (np.diag([1.0, 1.0, -1.0]), "mirror image: .* x, y, z are x, y, -z"),
+        (np.eye(3)[[0, 2, 1]], "mirror image: .* x, y, z are x, z, y"),
+        (Y_UP, "axes are not the cameras': .* x, y, z are x, -z, y"),
+    ],
+)
+def test_other_axes_of_a_mesh_that_is_all_in_view_are_named(turn, said):
+    scene = small_scene()
+    mesh = turned_by(scene.mesh, turn)
+    assert share_in_view(mesh, scene.cameras) > 0.5
+    why = why_convincing_elsewhere(mesh, scene.photos, scene.cameras)
+    assert why is not None
+    assert re.search(said, why), why
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_neither_right_nor_rough_cameras_are_said_to_be_of_another_world(seed):
+    scene = small_scene(seed)
+    rough = rough_start(scene.true_mesh, scene.cameras, (10.0, 20.0), seed)
+    mirrored = turned_by(scene.mesh, np.diag([1.0, 1.0, -1.0]))
+    for mesh, cameras in (
+        (scene.mesh, scene.cameras),
+        (scene.mesh, scene.rough_cameras),
+        (scene.mesh, rough),
+        (mirrored, scene.rough_cameras),  # Mirrored it is, but nothing shows it.
+    ):
+        assert why_convincing_elsewhere(mesh, scene.photos, cameras) is None
 
 
 def test_of_two_worlds_the_one_that_the_mesh_is_of_is_chosen(scene):

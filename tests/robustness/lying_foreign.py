@@ -52,7 +52,7 @@ def obj_cases() -> Iterator[Case]:
         return Case(f"OBJ: {what}", "m.obj", content, expected)
 
     yield case("a byte order mark", b"\xef\xbb\xbf" + obj())
-    yield case("a byte order mark of UTF-16", obj().decode().encode("utf-16"), "")
+    yield case("a byte order mark of UTF-16", obj().decode().encode("utf-16"), "UTF-16")
     yield case("lines that end in CR only", obj().replace(b"\n", b"\r"))
     yield case("tabs", obj().replace(b" ", b"\t"))
     yield case(

@@ -99,6 +99,12 @@ def photo_cases() -> Iterator[Case]:
         png_rgb16(),
         "read: 40 x 30 px, first pixel (255, 0, 0)",
     )
+    yield Case(
+        "RGB of 16 bits, and a chunk said to be 2 GB long",
+        "p.png",
+        png_rgb16()[:-12] + b"\x7f\xff\xff\xfftEXt" + png_rgb16()[-12:],
+        "could not be read",
+    )
     real = Image.fromarray(np.full((30, 40), 0.5, np.float32))
     yield Case(
         "grey in floats", "p.tif", encoded(real, "TIFF"), "first pixel (128, 128, 128)"

@@ -5,12 +5,12 @@ import pytest
 
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
+from photoreg.geometry.ray_hits import surface_hits
 from photoreg.synthetic.render import (
     decode_srgb,
     encode_srgb,
     render_linear,
     sky_and_key_light,
-    surface_hits,
 )
 from tests.scenes import small_scene
 

@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
+from photoreg.geometry.ray_hits import Hits
 from photoreg.synthetic.options import SceneOptions
-from photoreg.synthetic.render import Hits, encode_srgb
+from photoreg.synthetic.render import encode_srgb
 from photoreg.synthetic.scene import Scene, make_scene
 from photoreg.texture.atlas import Atlas, make_atlas
 from photoreg.texture.bake import TexturedMesh, bake_texture

@@ -7,7 +7,8 @@ from skimage.metrics import structural_similarity
 
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
-from photoreg.synthetic.render import Hits, decode_srgb, encode_srgb, render_linear
+from photoreg.geometry.ray_hits import Hits
+from photoreg.synthetic.render import decode_srgb, encode_srgb, render_linear
 from photoreg.synthetic.scene import Scene
 from photoreg.texture.bake import TexturedMesh
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from photoreg.errors import InputError
 from photoreg.formats.glb_container import JSON_CHUNK
+from photoreg.formats.parsing import refuse_utf16
 from photoreg.limits import Limits
 from photoreg.sources import open_for_reading
 
@@ -24,6 +25,9 @@ VERTICES_A_FACE = 3
 
 def check_announced(path: Path, limits: Limits) -> None:
     """Raises InputError if the file announces more than it holds or than is allowed."""
+    if path.suffix.lower() in (".obj", ".ply", ".off"):
+        with open_for_reading(path) as file:
+            refuse_utf16(path, file.read(2))
     checks = {".obj": _obj, ".ply": _ply, ".stl": _stl, ".off": _off, ".glb": _glb}
     checks[path.suffix.lower()](path, limits)
 

@@ -13,6 +13,8 @@ from photoreg.sources import open_for_reading
 MAX_CHUNK_BYTES = 4096
 """Longer PNG chunks are passed over."""
 
+PNG_END = b"\0\0\0\0IEND\xaeB\x60\x82"
+
 MAX_BOX_BYTES = 16 << 20
 """Longer metadata boxes are not looked into."""
 
@@ -30,6 +32,23 @@ def png_chunks(path: Path) -> dict[bytes, bytes]:
             else:
                 file.seek(length + 4, 1)
     return chunks
+
+
+def png_pixels_alone(content: bytes) -> bytes:
+    """A PNG of only the header and the pixels of another one.
+
+    Raises:
+        ValueError: if a chunk is longer than the rest of the file.
+    """
+    kept, at = [content[:8]], 8
+    while content[at + 4 : at + 8] != b"IEND":
+        end = at + 12 + int.from_bytes(content[at : at + 4], "big")
+        if end > len(content):
+            raise ValueError("a chunk of the PNG is longer than the file")
+        if content[at + 4 : at + 8] in (b"IHDR", b"IDAT"):
+            kept.append(content[at:end])
+        at = end
+    return b"".join([*kept, PNG_END])
 
 
 def heif_colours(path: Path) -> list[tuple[int, int]]:

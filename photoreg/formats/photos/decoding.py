@@ -19,7 +19,12 @@ from jaxtyping import Bool, UInt8
 from PIL import Image, UnidentifiedImageError
 
 from photoreg.errors import InputError
-from photoreg.formats.photos.chunks import heif_colours, jxl_header, png_chunks
+from photoreg.formats.photos.chunks import (
+    heif_colours,
+    jxl_header,
+    png_chunks,
+    png_pixels_alone,
+)
 from photoreg.formats.photos.colour_profiles import (
     ADOBE_RGB,
     CodedColours,
@@ -351,8 +356,10 @@ def _srgb_bytes(
     path: Path, kind: PhotoFormat, image: Image.Image, page: int, facts: PhotoFacts
 ) -> UInt8[np.ndarray, "h w 3"]:
     colours, profile = _colours(path, kind, image, facts)
+    # Pillow's size of some formats is right only now, and what it refuses OpenCV need not
+    # try.
+    image.load()
     values = _deep_values(path, kind, image, page)
-    image.load()  # Pillow's size of some formats is right only now.
     if values is None:
         mode = _plain_mode(image)
         height, width = image.height, image.width
@@ -454,8 +461,13 @@ def _deep_values(
         is_deep = isinstance(bits, tuple) and bits[0] == 16
     if not is_deep or image.mode not in ("RGB", "RGBA"):
         return None
-    content = np.frombuffer(read_regular(path), dtype=np.uint8)
-    _, pages = cv2.imdecodemulti(content, cv2.IMREAD_UNCHANGED, range=(page, page + 1))
+    content = read_regular(path)
+    if kind is PNG:
+        # OpenCV makes room for whatever length a damaged chunk announces.
+        content = png_pixels_alone(content)
+    _, pages = cv2.imdecodemulti(
+        np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED, range=(page, page + 1)
+    )
     values = pages[0]
     if values.dtype != np.uint16 or values.ndim != 3 or values.shape[2] < 3:
         raise ValueError("OpenCV read something else than Pillow saw")
