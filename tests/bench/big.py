@@ -20,7 +20,7 @@ from photoreg.synthetic.scene import Scene, make_scene
 from tests.bench.metrics import Metric, Setting, bench
 from tests.bench.page import readouts
 from tests.bench.served import served
-from tests.browser.driver import Driver, launch, wait_until
+from tests.browser.driver import FINE, Driver, launch, wait_until
 
 WIDTH, HEIGHT = 8660, 5774
 PROBE_S = 0.02
@@ -41,7 +41,7 @@ def big(setting: Setting) -> Iterator[Metric]:
         before = _resident_mb(controller)
         browser = launch(playwright)
         window = browser.new_page(viewport={"width": 1280, "height": 800})
-        driver = Driver(window, f"http://127.0.0.1:{page.port}", still=False)
+        driver = Driver(window, f"http://127.0.0.1:{page.port}", FINE, still=False)
         driver.dismiss_toasts()
         with _Probe(page) as probe:
             began = time.perf_counter()

@@ -37,7 +37,7 @@ from photoreg.project.project import Project
 from tests.bench.metrics import Metric
 from tests.bench.processor import busy_s, processor_s
 from tests.bench.wire import PROTOCOL, unpacked, view_from
-from tests.browser.driver import Driver, launch, wait_until
+from tests.browser.driver import FINE, Driver, launch, wait_until
 from tests.browser.server_program import server
 
 MOVES_PER_S = 10.0
@@ -350,7 +350,7 @@ class Cores:
 
 def _page(browser: Browser, address: str, number: int) -> Driver:
     window = browser.new_page(viewport={"width": 700 + 10 * number, "height": 500})
-    driver = Driver(window, address, still=False)
+    driver = Driver(window, address, FINE, still=False)
     driver.dismiss_toasts()
     return driver
 

@@ -14,7 +14,7 @@ from app.panels.nudges import BY_NAME, Stepper
 from tests.bench.metrics import Metric, Setting, bench, spread
 from tests.bench.served import served
 from tests.bench.wire import listening
-from tests.browser.driver import Driver, launch, wait_until
+from tests.browser.driver import FINE, Driver, launch, wait_until
 
 N_MOVES = 20
 _WATCH = """() => {
@@ -133,6 +133,7 @@ def _moves(
         Driver(
             browser.new_page(viewport={"width": 1100, "height": 700}),
             address,
+            FINE,
             still=False,
         )
         for _ in range(2)

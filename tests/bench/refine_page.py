@@ -27,7 +27,7 @@ from tests.bench.metrics import Metric, Setting, bench
 from tests.bench.processor import processor_s
 from tests.bench.served import served
 from tests.bench.wire import listening
-from tests.browser.driver import Driver, launch, wait_until
+from tests.browser.driver import FINE, Driver, launch, wait_until
 
 N_STARTS = 6
 REST_MS = 2_500
@@ -111,7 +111,7 @@ def refine_page(setting: Setting) -> Iterator[Metric]:
         with sync_playwright() as playwright:
             browser = launch(playwright)
             window = browser.new_page(viewport={"width": 1100, "height": 700})
-            driver = Driver(window, address, still=False)
+            driver = Driver(window, address, FINE, still=False)
             yield from _watching(session, controller, driver)
             yield from _dying(session, controller, driver)
             browser.close()

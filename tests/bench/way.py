@@ -10,7 +10,7 @@ from photoreg.synthetic.scene import make_scene
 from tests.bench.metrics import Metric, Setting, bench
 from tests.bench.served import served
 from tests.browser.app import App
-from tests.browser.driver import Driver, launch
+from tests.browser.driver import FINE, Driver, launch
 from tests.browser.own_files import whole_way
 
 NOTES = {
@@ -31,7 +31,7 @@ def way(setting: Setting) -> Iterator[Metric]:
     with served() as (session, controller, page), sync_playwright() as playwright:
         browser = launch(playwright)
         window = browser.new_page(viewport={"width": 1280, "height": 800})
-        driver = Driver(window, f"http://127.0.0.1:{page.port}", still=False)
+        driver = Driver(window, f"http://127.0.0.1:{page.port}", FINE, still=False)
         app = App(session, controller, page, driver)
         began = time.perf_counter()
         for step in whole_way(app, scene):

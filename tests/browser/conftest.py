@@ -12,13 +12,13 @@ from app.model.session import Session
 from app.model.state import Document, PhotoEntry, State
 from app.page.server import Page
 from tests.browser.app import App
-from tests.browser.driver import PANELS_WITHOUT_GL, Driver, launch
+from tests.browser.driver import COARSE, PANELS_WITHOUT_GL, Driver, launch
 
 
 class OpenApp(Protocol):
     """Starts the app on a document and opens a window on it."""
 
-    def __call__(self, document: Document, pixel_ratio: float = 1.0) -> App: ...
+    def __call__(self, document: Document, pixel_ratio: float = COARSE) -> App: ...
 
 
 @pytest.fixture(scope="session")
@@ -32,7 +32,7 @@ def chromium() -> Iterator[Browser]:
 def _opening(chromium: Browser) -> Iterator[OpenApp]:
     running: list[App] = []
 
-    def start(document: Document, pixel_ratio: float = 1.0) -> App:
+    def start(document: Document, pixel_ratio: float = COARSE) -> App:
         session = Session(State(document=document))
         controller = Controller(session, warm_up=False)
         page = Page(session, controller, port=0, shadows=False, surroundings=False)

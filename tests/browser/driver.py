@@ -21,9 +21,9 @@ PANELS_WITHOUT_GL = "--disable-gpu-compositing"
 """With software WebGL for the panels, too, drawing them takes half the time of a test. Not
 where the page is measured."""
 
-COARSE = 0.25
-"""Pixel ratio of the 3-D scene for tests that do not look at it: drawing it in software at
-full size would take most of their time."""
+COARSE, FINE = 0.25, 1.0
+"""Pixel ratio of the 3-D scene for tests that do not look at it, and for those that do and
+what measures the page: drawing it in software at full size takes most of a test's time."""
 
 _WAIT_FRAMES = """n => new Promise(done => {
   const m = __viserMutable, info = __viserTestpoints.rendererInfo.render;
@@ -69,7 +69,11 @@ class Driver:
     """One browser page on the app."""
 
     def __init__(
-        self, page: Page, address: str, pixel_ratio: float = 1.0, still: bool = True
+        self,
+        page: Page,
+        address: str,
+        pixel_ratio: float = COARSE,
+        still: bool = True,
     ) -> None:
         self.page = page
         if still:

@@ -17,7 +17,7 @@ from app.control.projects import Projects
 from app.model.scene_files import demo_folder, open_folder
 from app.model.session import Session, setting
 from app.page.server import Page
-from tests.browser.driver import PANELS_WITHOUT_GL, Driver, launch, wait_until
+from tests.browser.driver import FINE, PANELS_WITHOUT_GL, Driver, launch, wait_until
 
 FOLDER = Path(__file__).parents[2] / "docs"
 MAX_BYTES = 500_000
@@ -46,8 +46,8 @@ def drive(
         with sync_playwright() as playwright:
             browser = launch(playwright, PANELS_WITHOUT_GL)
             window = browser.new_page(viewport={"width": 1280, "height": 800})
-            take_all(session, Driver(window, f"http://127.0.0.1:{page.port}"))
-            refinement(session, Driver(window, f"http://127.0.0.1:{page.port}"))
+            take_all(session, Driver(window, f"http://127.0.0.1:{page.port}", FINE))
+            refinement(session, Driver(window, f"http://127.0.0.1:{page.port}", FINE))
             browser.close()
     finally:
         page.close()

@@ -11,7 +11,7 @@ import trimesh
 from photoreg.formats.cameras.camera_set import largest_shift_px
 from photoreg.formats.cameras.registry import read_cameras
 from tests.browser.app import App
-from tests.browser.driver import COARSE, wait_until
+from tests.browser.driver import wait_until
 
 
 def downloaded(driver, button: str) -> tuple[str, bytes]:
@@ -24,7 +24,7 @@ def downloaded(driver, button: str) -> tuple[str, bytes]:
 @pytest.fixture(scope="module")
 def app(open_app_once, toy_document) -> App:
     """One app for both tests, with the Export tab open."""
-    app = open_app_once(toy_document, COARSE)
+    app = open_app_once(toy_document)
     app.driver.dismiss_toasts()
     app.driver.tab("4 Export")
     return app

@@ -16,7 +16,7 @@ from photoreg.formats.archives import unzipped
 from photoreg.formats.cameras.cameras_json import CameraFile, dump_cameras
 from photoreg.formats.cameras.download import cameras_download
 from photoreg.project.folder import DATABASE
-from tests.browser.driver import COARSE, wait_until
+from tests.browser.driver import wait_until
 from tests.browser.own_files import drop
 
 
@@ -39,7 +39,7 @@ def files(toy_document) -> dict[str, bytes]:
 @pytest.fixture(scope="module")
 def running(open_app_once):
     """One app for the tests of this file; it takes seconds to start."""
-    return open_app_once(Document(), COARSE)
+    return open_app_once(Document())
 
 
 def names(app) -> list[str]:
@@ -291,7 +291,7 @@ def test_a_project_that_cannot_be_had_leaves_the_question_open(
     open_app, toy_document, tmp_path, monkeypatch
 ):
     monkeypatch.setenv("PHOTOREG_DATA", str(tmp_path / "data"))
-    app = open_app(toy_document, COARSE)
+    app = open_app(toy_document)
     app.driver.dismiss_toasts()
     page = app.driver.page
     (tmp_path / "full").mkdir()

@@ -17,7 +17,7 @@ from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.rasteriser import render_geometry
 from photoreg.imaging.photo import Photo
 from photoreg.synthetic.rock import rock_mesh
-from tests.browser.driver import Driver, wait_until
+from tests.browser.driver import FINE, Driver, wait_until
 
 WIDTH, HEIGHT, FINER = 960, 720, 3
 MAX_MEAN_PX, MAX_PX = 0.3, 1.0
@@ -110,7 +110,7 @@ def scene():
 @pytest.fixture(scope="module")
 def app(open_app_once, scene):
     mesh, camera, photo = scene
-    return open_app_once(Document(mesh, mesh, (PhotoEntry(photo, camera),)))
+    return open_app_once(Document(mesh, mesh, (PhotoEntry(photo, camera),)), FINE)
 
 
 @pytest.fixture

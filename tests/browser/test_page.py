@@ -15,7 +15,7 @@ from app.model.session import with_document, with_entry
 from app.model.state import PointPair, same_camera
 from app.page.server import Page
 from app.web.widgets import HELP
-from tests.browser.driver import wait_until
+from tests.browser.driver import FINE, wait_until
 
 SCRIPTS = Path(__file__).parents[2] / "static"
 NO_INPUT = (viser.GuiHtmlHandle, viser.GuiMarkdownHandle)
@@ -24,7 +24,7 @@ NO_INPUT = (viser.GuiHtmlHandle, viser.GuiMarkdownHandle)
 @pytest.fixture(scope="module")
 def running(open_app_once, toy_document):
     """One app for the tests of this file; it takes seconds to start."""
-    return open_app_once(toy_document)
+    return open_app_once(toy_document, FINE)
 
 
 @pytest.fixture

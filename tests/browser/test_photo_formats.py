@@ -17,7 +17,7 @@ from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.sampling import SurfaceSamples
 from photoreg.geometry.visibility import visible
-from tests.browser.driver import COARSE, wait_until
+from tests.browser.driver import wait_until
 from tests.browser.own_files import drop
 from tests.formats.photo_files import DISPLAY_P3, coded, icc_profile, write_dng
 from tests.painted import ball_and_moon, cameras_around, paint, photograph
@@ -92,7 +92,7 @@ def files(
 def test_photos_of_phones_and_cameras_come_out_in_place_and_in_colour(
     names, open_app, tmp_path
 ):
-    app = open_app(Document(), COARSE)
+    app = open_app(Document())
     made, mesh, cameras = files(names, tmp_path)
     drop(app.driver, made)
     wait_until(lambda: len(app.state.document.photos) == len(names), "all is open", 60)

@@ -5,13 +5,13 @@ import dataclasses
 import pytest
 
 from app.model.session import select, with_document
-from tests.browser.driver import COARSE, wait_until
+from tests.browser.driver import wait_until
 
 
 @pytest.fixture(scope="module")
 def app(open_app_once, toy_document):
     """One app for the tests of this file; it takes seconds to start."""
-    app = open_app_once(toy_document, COARSE)
+    app = open_app_once(toy_document)
     app.driver.dismiss_toasts()
     app.driver.tab("1 Data")
     return app

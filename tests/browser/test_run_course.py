@@ -7,9 +7,8 @@ import pytest
 
 from app.model.session import setting
 from app.panels.overlay import LEVEL, RESTART
-from photoreg.registration.config import RegistrationConfig
 from tests.browser.driver import Driver, wait_until
-from tests.browser.refine_runs import drop, open_to_refine, start, to_its_end
+from tests.browser.refine_runs import QUICK, drop, open_to_refine, start, to_its_end
 
 # What the overlay shows, by content: a picture sent anew is no other picture.
 WATCH_OVERLAY = """() => {
@@ -173,15 +172,14 @@ def test_a_blink_shows_both_photos_in_turn(app):
 
 def test_restarts_and_levels_are_marked_on_the_curve(app):
     window = app.driver.page
-    fast = RegistrationConfig.preset("fast")
-    twice = dataclasses.replace(fast.genetic, restarts=2)
-    config = dataclasses.replace(fast, genetic=twice)
-    app.session.change(None, setting(preset="fast", config=config))
+    twice = dataclasses.replace(QUICK.genetic, restarts=2)
+    config = dataclasses.replace(QUICK, genetic=twice)
+    app.session.change(None, setting(config=config))
     app.driver.click("Refine")
     to_its_end(app)
     marks = [point.mark for point in app.state.run.curve]
     assert marks.count("restart") == 1
-    assert marks.count("level") >= len(fast.polish.blurs_px)
+    assert marks.count("level") >= len(QUICK.polish.blurs_px)
     for colour in (RESTART, LEVEL):
         window.wait_for_function(PLOT_HAS, arg=colour, timeout=30_000)
     app.session.change(None, setting(config=None))

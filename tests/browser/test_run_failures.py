@@ -18,7 +18,7 @@ from app.model.reducers import has_moved
 from app.model.session import setting
 from photoreg.registration.config import RegistrationConfig
 from tests.browser.driver import wait_until
-from tests.browser.refine_runs import drop, open_to_refine, start, to_its_end
+from tests.browser.refine_runs import QUICK, drop, open_to_refine, start, to_its_end
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def test_a_killed_worker_costs_no_work_and_the_next_run_ends(app):
     app.driver.page.get_by_text("Tab 3 has it as it was").wait_for()
     app.driver.page.get_by_role("button", name="Go on where it was").wait_for()
     drop(app)
-    start(app, "fast", hold=False)
+    start(app, QUICK, hold=False)
     to_its_end(app)
     drop(app)
     assert "died" not in app.state.runs[-1].outcome
@@ -58,10 +58,9 @@ class BreaksInPolish(RegistrationConfig):
 def test_a_run_that_breaks_midway_is_told_kept_and_logged_and_goes_on(app, tmp_path):
     handler = log_into(tmp_path)
     assert handler is not None
-    sound = RegistrationConfig.preset("fast")
-    broken = BreaksInPolish(**vars(sound))
+    broken = BreaksInPolish(**vars(QUICK))
     try:
-        app.session.change(None, setting(preset="fast", config=broken))
+        app.session.change(None, setting(config=broken))
         app.driver.click("Refine")
         to_its_end(app)
     finally:
@@ -84,13 +83,13 @@ def test_a_run_that_breaks_midway_is_told_kept_and_logged_and_goes_on(app, tmp_p
     assert text.rstrip().endswith("ZeroDivisionError: of the test")
     assert len(text) < 5000, "the lines of code, and nothing of the photos"
     # What broke it is gone: it goes on, and the next run works from its start.
-    run = dataclasses.replace(run, config=sound)
+    run = dataclasses.replace(run, config=QUICK)
     app.session.change(None, setting(run=run, config=None))
     app.driver.click("Go on where it was")
     wait_until(lambda: app.state.run.start_cost is not None, "it ends", 240)
     assert not app.state.can_go_on
     drop(app)
-    start(app, "fast", hold=False)
+    start(app, QUICK, hold=False)
     to_its_end(app)
     assert app.state.run.start_cost is not None
     drop(app)
@@ -115,10 +114,8 @@ class StarvesInPolish(RegistrationConfig):
 @pytest.mark.skipif(sys.platform != "linux", reason="limits memory as Linux does")
 def test_a_run_without_memory_for_its_polish_ends_and_the_next_one_works(app):
     worker = app.controller.worker
-    sound = RegistrationConfig.preset("fast")
-    app.session.change(
-        None, setting(preset="fast", config=StarvesInPolish(**vars(sound)))
-    )
+    fast = RegistrationConfig.preset("fast")
+    app.session.change(None, setting(config=StarvesInPolish(**vars(fast))))
     app.driver.click("Refine")
     to_its_end(app)
     # The engine goes on where it can tell what failed, and is started anew where not.
@@ -130,7 +127,7 @@ def test_a_run_without_memory_for_its_polish_ends_and_the_next_one_works(app):
         resource.prlimit(worker.pid, resource.RLIMIT_AS, (limits[1], limits[1]))
     drop(app)
     app.session.change(None, setting(config=None))
-    start(app, "fast", hold=False)
+    start(app, QUICK, hold=False)
     to_its_end(app)
     assert app.state.run.start_cost is not None
     drop(app)

@@ -8,7 +8,7 @@ from app.model.formatting import in_words, number
 from app.model.reducers import has_moved
 from app.model.session import looking_at
 from tests.browser.driver import wait_until
-from tests.browser.refine_runs import drop, open_to_refine, start, to_its_end
+from tests.browser.refine_runs import QUICK, drop, open_to_refine, start, to_its_end
 
 
 @pytest.fixture(scope="module")
@@ -16,7 +16,7 @@ def app(open_app_once):
     """One app with two runs in its list."""
     app = open_to_refine(open_app_once)
     for _ in range(2):
-        start(app, "fast", hold=False)
+        start(app, QUICK, hold=False)
         to_its_end(app)
         drop(app)
     return app

@@ -9,7 +9,7 @@ from app.panels.advanced import all_settings
 from photoreg.registration.config import PresetName, RegistrationConfig
 from photoreg.search.box_reach import box_reach
 from tests.browser.driver import wait_until
-from tests.browser.refine_runs import drop, open_to_refine, start, to_its_end
+from tests.browser.refine_runs import QUICK, drop, open_to_refine, start, to_its_end
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def test_what_is_ticked_stays_to_the_last_bit(app):
     for label in ("Lock position", "Lock zoom", "Lock image centre"):
         app.driver.page.get_by_label(label).nth(0).check()
     wait_until(lambda: len(app.state.held) == 4, "the ticks arrive")
-    start(app, "fast", hold=False)
+    start(app, QUICK, hold=False)
     to_its_end(app)
     kept, moved = app.state.run.cameras
     np.testing.assert_array_equal(kept.K, first.K)
@@ -58,7 +58,7 @@ def test_photos_that_share_a_focal_length_have_one_all_the_way(app):
             else None
         )
     )
-    start(app, "fast", hold=False)
+    start(app, QUICK, hold=False)
     to_its_end(app)
     leave()
     assert len(told) > 3

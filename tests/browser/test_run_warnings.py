@@ -10,9 +10,8 @@ from app.model.camera_moves import orbited
 from app.model.session import setting, with_entry
 from app.model.state import same_camera
 from photoreg.geometry.camera import Camera
-from photoreg.registration.config import RegistrationConfig
 from tests.browser.driver import wait_until
-from tests.browser.refine_runs import drop, open_to_refine, to_its_end
+from tests.browser.refine_runs import QUICK, drop, open_to_refine, to_its_end
 
 
 @pytest.fixture(scope="module")
@@ -21,9 +20,8 @@ def app(open_app_once):
 
 
 def test_an_answer_on_the_border_of_its_box_says_so_and_what_to_do(app):
-    fast = RegistrationConfig.preset("fast")
-    narrow = dataclasses.replace(fast, box=fast.box.widened(0.1))
-    app.session.change(None, setting(preset="fast", config=narrow))
+    narrow = dataclasses.replace(QUICK, box=QUICK.box.widened(0.1))
+    app.session.change(None, setting(config=narrow))
     app.driver.click("Refine")
     to_its_end(app)
     told = app.driver.page.get_by_text(
@@ -46,7 +44,7 @@ def test_photos_that_hardly_overlap_are_told_before_and_after(app):
     anchor = app.state.document.mesh.centroid
     with_second_camera(app, orbited(camera, anchor, turn))
     window.get_by_text("Align better, or take photos from nearer viewpoints").wait_for()
-    app.session.change(None, setting(preset="fast"))
+    app.session.change(None, setting(preset="fast", config=None))
     app.driver.click("Refine")
     to_its_end(app)
     wait_until(lambda: app.state.run.grade == "unconvincing", "it is not believed")

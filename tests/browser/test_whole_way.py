@@ -16,7 +16,7 @@ from photoreg.geometry.sampling import SurfaceSamples
 from photoreg.geometry.visibility import visible
 from photoreg.synthetic.options import SceneOptions
 from photoreg.synthetic.scene import Scene, make_scene
-from tests.browser.driver import wait_until
+from tests.browser.driver import FINE, wait_until
 from tests.browser.own_files import whole_way
 
 MAX_ERROR_PX = 1.5
@@ -29,7 +29,7 @@ MEAN_COLOUR_DIFFERENCE = 15.0
 
 @pytest.mark.slow
 def test_a_person_s_whole_way(open_app, tmp_path):
-    app = open_app(Document())
+    app = open_app(Document(), FINE)
     driver, session = app.driver, app.session
     driver.dismiss_toasts()
 
@@ -111,7 +111,7 @@ def test_a_person_s_whole_way(open_app, tmp_path):
 @pytest.mark.slow
 def test_a_whole_way_with_files_of_one_s_own(open_app):
     scene = make_scene(SceneOptions(kind="shell", seed=5, width=800, height=600))
-    app = open_app(Document())
+    app = open_app(Document(), FINE)
     errors = {step: true_error_px(app, scene) for step in whole_way(app, scene)}
     assert errors["points2"] < 20.0, f"by points {errors['points2']:.2f} px"
     assert errors["download"] < 1.0, f"refined {errors['download']:.2f} px"
