@@ -50,6 +50,7 @@ from photoreg.registration.events import Finished, Progress
 from photoreg.registration.refinement import refine
 from photoreg.registration.world import (
     in_world_of_mesh,
+    judge,
     why_convincing_elsewhere,
     why_of_another_world,
 )
@@ -373,9 +374,12 @@ def texture_command(
         targets.append(check_suffix(coverage, (".png",)))
     check_outputs(targets, (mesh, *photos, cameras), overwrite)
     surface, pictures, _, exact = _load_scene(mesh, photos, cameras)
-    for find_why in (why_of_another_world, why_convincing_elsewhere):
-        if (why := find_why(surface, pictures, exact)) is not None:
-            raise InputError(why)
+    verdict = judge(surface, pictures, exact)
+    why = why_of_another_world(surface, pictures, exact)
+    if why is None and verdict.grade != "convincing":
+        why = why_convincing_elsewhere(surface, pictures, exact)
+    if why is not None:
+        raise InputError(why)
     # Once more: the mesh may have named a material and a texture of its own.
     check_outputs(targets, (mesh, *photos, cameras), overwrite)
     began = time.perf_counter()
@@ -403,11 +407,12 @@ def texture_command(
         f"{width}x{height}, {textured.layout_in_words}, {elapsed_s:.1f} s. "
         f"Written: {', '.join(str(path) for path in written)}."
     )
+    if not verdict.is_credible:
+        _log.print(f"Warning: {verdict.sentence}", markup=False)
     if textured.seen_share < LITTLE_SEEN:
         _log.print(
-            f"Warning: only {percent(textured.seen_share)} of the surface is painted. If the "
-            "photos show more of it, cameras and mesh are not of one world: check the axes, "
-            "the units and the origin of both."
+            "Warning: little of the surface is seen. If the photos show more of it, cameras "
+            "and mesh are not of one world: check the axes, the units and the origin of both."
         )
     if told := _left_out(pictures, textured):
         _log.print(told)

@@ -15,13 +15,14 @@ from photoreg.formats.cameras.cameras_json import CameraFile
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.unseen import guesses_by_view, share_in_view, turns
+from photoreg.geometry.winding import facing_cameras
 from photoreg.imaging.pairs import ALL_UP_TO
 from photoreg.imaging.photo import Photo
 from photoreg.imaging.undistort import undistorted_photo
 from photoreg.polish.misfit import against_chance, disagreement
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.genetic_search import shared_samples
-from photoreg.registration.verdict import decide_verdict
+from photoreg.registration.verdict import Verdict, decide_verdict
 from photoreg.search.photo_consistency import PhotoConsistency
 
 LITTLE_IN_VIEW = 0.5
@@ -109,7 +110,7 @@ def why_of_another_world(
 def why_convincing_elsewhere(
     mesh: Mesh, photos: Sequence[Photo], cameras: Sequence[Camera]
 ) -> str | None:
-    """In which axes of the mesh cameras would be convincing, if they are not as it is.
+    """In which axes of the mesh cameras would be convincing that are not as it is.
 
     Mirrored ones among them: no cameras fit a mirrored object, unless it is symmetric.
     Only cameras that are right to some pixels show this, as those of another program.
@@ -122,7 +123,7 @@ def why_convincing_elsewhere(
     Returns:
         Sentences that say so; None where nothing speaks for it.
     """
-    if len(photos) < 2 or _are_convincing(mesh, photos, cameras):
+    if len(photos) < 2:
         return None
     few = slice(ALL_UP_TO)
     photos = [
@@ -130,7 +131,7 @@ def why_convincing_elsewhere(
         for photo, camera in zip(photos[few], cameras[few], strict=True)
     ]
     cameras = [camera.pinhole for camera in cameras[few]]
-    given = share_of_chance(mesh, photos, cameras)
+    given = share_of_chance(facing_cameras(mesh, cameras), photos, cameras)
     for axes, turn in turns():
         is_mirrored = np.linalg.det(turn) < 0.0
         world = _mirrored(photos, cameras) if is_mirrored else (photos, cameras)
@@ -140,9 +141,11 @@ def why_convincing_elsewhere(
             for camera in world[1]
         ]
         # A plain background agrees with itself, but no outline falls on it.
-        if agree_clearly_better(
-            share_of_chance(mesh, world[0], seen), given
-        ) and _are_convincing(mesh, world[0], seen):
+        facing = facing_cameras(mesh, seen)
+        if (
+            agree_clearly_better(share_of_chance(facing, world[0], seen), given)
+            and judge(facing, world[0], seen).grade == "convincing"
+        ):
             return (
                 "The mesh is a mirror image: the photos do not agree on it, but do if its "
                 f"x, y, z are {axes}. No cameras fit a mirrored object. Export it anew, "
@@ -178,15 +181,14 @@ def _mirrored(
     ]
 
 
-def _are_convincing(
-    mesh: Mesh, photos: Sequence[Photo], cameras: Sequence[Camera]
-) -> bool:
-    """Whether cameras that nobody refined would be called convincing."""
+def judge(mesh: Mesh, photos: Sequence[Photo], cameras: Sequence[Camera]) -> Verdict:
+    """What a refinement would say of cameras if it had ended in them."""
     config = RegistrationConfig().polish
+    mesh = facing_cameras(mesh, cameras)
     small = [photo.resized(config.max_side_px) for photo in photos]
     fit = disagreement(mesh, small, cameras, config.min_cosine)
     fit = against_chance(fit, mesh, small, cameras)
-    return decide_verdict(fit, [photo.name for photo in photos]).grade == "convincing"
+    return decide_verdict(fit, [photo.name for photo in photos])
 
 
 def is_of_world_before(

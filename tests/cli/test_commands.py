@@ -21,6 +21,7 @@ from photoreg.cli.commands import commands, run
 from photoreg.formats.cameras.cameras_json import CameraFile, load_cameras, save_cameras
 from photoreg.formats.meshes.read import load_mesh
 from photoreg.formats.models.ply import save_mesh
+from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.projection_error import projection_error
 from tests.scenes import small_scene
 
@@ -232,6 +233,27 @@ def test_cameras_that_do_not_see_the_mesh_are_refused(folder, tmp_path, capsys):
     trimesh.Trimesh(away, scene.mesh.faces, process=False).export(tmp_path / "away.ply")
     said = refused(refine_words(folder, mesh=str(tmp_path / "away.ply")), capsys)
     assert "see" in said
+
+
+def test_a_texture_of_a_mesh_that_the_photos_do_not_show_is_told(
+    folder, tmp_path, capsys
+):
+    mesh = small_scene().mesh
+    # Mirrored, and so turned inside out; and moved by a quarter of its size.
+    mirrored = Mesh(mesh.vertices * [1.0, 1.0, -1.0], mesh.faces)
+    moved = Mesh(mesh.vertices + 0.25 * mesh.diagonal * np.eye(3)[0], mesh.faces)
+    save_mesh(tmp_path / "mirrored.ply", mirrored)
+    save_mesh(tmp_path / "moved.ply", moved)
+
+    def texture(mesh: str) -> list[str]:
+        words = ["--cameras", str(folder / "truth.json"), "--size", "64"]
+        out = ["--out", str(tmp_path / "m.glb")]
+        return ["texture", str(tmp_path / mesh), *photo_paths(folder), *words, *out]
+
+    assert "mirror image: " in refused(texture("mirrored.ply"), capsys)
+    assert not (tmp_path / "m.glb").exists()
+    assert run(texture("moved.ply")) == 0
+    assert "Warning: Unconvincing: " in capsys.readouterr().err
 
 
 def test_a_camera_that_looks_away_is_named_with_what_is_wrong(folder, tmp_path, capsys):
