@@ -6,7 +6,7 @@ BIN := .venv/bin
 DATA ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-shapes test-slow test-interop crash fuzz lying-input load check format bench rooms licences docs screenshots clean
+.PHONY: help run test test-shapes test-slow test-cluster test-interop crash fuzz lying-input load check format bench rooms licences docs screenshots clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -26,6 +26,10 @@ test-slow: .venv/.stamp-dev ## Run the tests marked slow (minutes)
 
 test-shapes: .venv/.stamp-dev ## Run the tests of the arithmetic with every shape and type checked at every call
 	PHOTOREG_CHECK_SHAPES=1 $(BIN)/pytest -n 2 -m "not slow and not wrong_types" tests/geometry tests/imaging tests/parameters tests/resection
+
+test-cluster: .venv/.stamp-dev ## Run the tests of batches on Dask, those with killed workers and two hosts too (minutes; two hosts need root)
+	@$(BIN)/python tests/browser/ensure_chromium.py
+	$(BIN)/pytest -m cluster
 
 test-interop: .venv/.stamp-interop ## Let COLMAP, MeshLab, Open3D, Blender and three.js read our files
 	@$(BIN)/python tests/browser/ensure_chromium.py

@@ -6,10 +6,14 @@ import reprlib
 from collections.abc import Iterator
 from contextvars import ContextVar
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
 from photoreg.errors import InputError
+
+Measured = Annotated[float, "may be infinite or NaN"]
+"""A number that was measured. Every other one that a project keeps must be finite."""
 
 _inputs: ContextVar[set[Path] | None] = ContextVar("inputs", default=None)
 

@@ -16,7 +16,7 @@ from packaging.requirements import Requirement
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "licences.md"
 BEGIN, END = "<!-- licences: written by `make licences` -->", "<!-- end of licences -->"
-EXTRAS = ("draco", "jxl", "report")
+EXTRAS = ("cluster", "draco", "jxl", "report")
 """Extras that users install; the others are for developers."""
 
 Kind = Literal["permissive", "weak copyleft", "copyleft", "unknown"]

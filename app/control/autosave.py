@@ -20,6 +20,7 @@ from app.model.state import Document, State
 from app.model.undo_history import UndoStep
 from photoreg.errors import InputError, OutputError, PhotoregError
 from photoreg.project.project import Project, StoredStep
+from photoreg.project.result import RESULT, ProjectResult
 from photoreg.project.types import fits
 
 log = logging.getLogger(__name__)
@@ -91,7 +92,7 @@ CHOICES: dict[str, Any] = {
 DOCUMENT_TYPES = tuple(
     functools.reduce(
         lambda found, hint: _types_of(hint, found),
-        [Document, Run, *CHOICES.values()],
+        [Document, Run, ProjectResult, *CHOICES.values()],
         {},
     )
 )
@@ -307,7 +308,12 @@ class Autosave:
                 stored = [StoredStep(step.name, step.document) for step in new]
                 self.project.write_history(after, stored, first + now)
             self.project.write_settings(
-                {"choices": _choices(state), "run": state.run, "runs": state.runs}
+                {
+                    "choices": _choices(state),
+                    "run": state.run,
+                    "runs": state.runs,
+                    RESULT: result_of(state),
+                }
             )
             runs = self._runs.copy()
             runs.write(state)
@@ -315,6 +321,17 @@ class Autosave:
         self._runs = runs
         self._first, self._written, self._written_now = first, steps, now
         return changed
+
+
+def result_of(state: State) -> ProjectResult:
+    """What the project has come to, for programs that do not know its documents."""
+    run = state.document_run
+    return ProjectResult(
+        cameras={entry.name: entry.camera for entry in state.document.used},
+        grade=None if run is None else run.grade,
+        sentence="" if run is None else run.verdict,
+        expected_error_px=None if run is None else run.expected_error_px,
+    )
 
 
 def _find(written: list[UndoStep], document: object) -> int | None:

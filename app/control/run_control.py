@@ -4,15 +4,16 @@ import dataclasses
 import datetime
 from collections.abc import Callable
 
-from app.control.run_report import report_html
 from app.engine.client import Worker
 from app.model import session as rules
 from app.model.messages import Refine
+from app.model.pictures import Compared
 from app.model.run import Run, Status
 from app.model.session import Session
 from app.model.state import Document, State
 from app.model.wanted_pictures import current_comparison, wanted_view
 from photoreg.errors import RefinementError
+from photoreg.report.run_report import RunReport, report_html
 
 
 class RunControl:
@@ -158,8 +159,39 @@ class RunControl:
                 "The pictures for the report are still being drawn. Try again in a "
                 "moment."
             )
-        text = report_html(state, comparison)
+        text = report_html(report_of(state, comparison))
         return f"photoreg-run-{state.run.number}.html", text.encode()
+
+
+def report_of(state: State, compared: Compared) -> RunReport:
+    """What the report of the run on screen tells."""
+    run, mesh = state.run, state.document.mesh
+    errors = costs = None
+    if run.start_error_px is not None and run.error_px is not None:
+        errors = run.start_error_px, run.error_px
+    if run.start_cost is not None and run.cost is not None:
+        costs = run.start_cost, run.cost
+    return RunReport(
+        title=f"Run {run.number}: {', '.join(run.photo_names)}",
+        subtitle=f"{mesh.name if mesh is not None else ''} · {run.began} · "
+        f"{run.settings_name}",
+        outcome=f"{run.outcome} {run.verdict}",
+        warnings=run.warnings,
+        comparisons=compared.photos,
+        left=f"run {state.compared_with}" if state.compared_with else "start",
+        elapsed_s=run.elapsed_s,
+        generations=run.generation,
+        evaluations=run.evaluations,
+        errors_px=errors,
+        expected_error_px=run.expected_error_px,
+        costs=costs,
+        certainty=(*run.standard_errors, *run.undetermined),
+        curve=run.curve,
+        photo_names=run.photo_names,
+        start=run.start,
+        cameras=run.cameras,
+        config=run.config,
+    )
 
 
 def must_be_idle(state: State) -> None:

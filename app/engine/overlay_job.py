@@ -12,7 +12,6 @@ from app.model.pictures import (
     Compare,
     Compared,
     OverlayView,
-    PhotoComparison,
     Picture,
     Surface,
 )
@@ -20,15 +19,17 @@ from app.model.state import same_camera
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.projection_error import Truth
-from photoreg.imaging.encoding import encode_jpeg
 from photoreg.imaging.photo import Photo
-from photoreg.overlay.disagreement_map import disagreement_picture, mean_disagreement
 from photoreg.overlay.pictures import AlignedPair, LiveOverlay, compose, swipe
 from photoreg.overlay.surface_lines import SurfaceLines, shaded_normals
+from photoreg.report.comparison import (
+    PICTURE_SIDE_PX,
+    aligned_pair,
+    draw_comparison,
+    jpeg,
+)
 
-PICTURE_SIDE_PX = 1024
 ERROR_SAMPLES = 2_000
-JPEG_QUALITY = 82
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -101,21 +102,21 @@ class Drawing:
             # A slider of the overlay's asks for the same pair again and again; of a
             # search the best stays for one generation in two, or three.
             self._pair = _Drawn(
-                onto, quick, cameras, self._aligned_pair(cameras, onto, quick)
+                onto, quick, cameras, aligned_pair(overlay, cameras, onto, quick)
             )
         pair = self._pair.pair
         other = normals = lines = None
         if view.style == "blink":
-            jpeg = _jpeg(pair.base)
-            other = _jpeg(compose(pair, "carried"))
+            drawn = jpeg(pair.base)
+            other = jpeg(compose(pair, "carried"))
         else:
             picture = compose(pair, view.style, view.share)
             if start is not None and view.start_line is not None:
                 before = self._start_picture(start, view, onto)
                 picture = swipe(before, picture, view.start_line)
-            jpeg = _jpeg(picture)
+            drawn = jpeg(picture)
         if view.through == "normals":
-            normals = _jpeg(
+            normals = jpeg(
                 shaded_normals(
                     overlay.mesh, overlay.photos[onto], cameras[onto], view.mesh_opacity
                 )
@@ -125,7 +126,7 @@ class Drawing:
                 self._lines = SurfaceLines(overlay.mesh)
             lines = self._lines.seen_from(cameras[onto])
         return Picture(
-            jpeg,
+            drawn,
             self.true_error(truth, cameras),
             other,
             self._photos[onto].name,
@@ -138,21 +139,11 @@ class Drawing:
     ) -> np.ndarray:
         key = (onto, view.style, view.share, tuple(map(id, start)))
         if self._start is None or self._start[0] != key:
-            pair = self._aligned_pair(start, onto)
+            pair = aligned_pair(self._overlay, start, onto)
             picture = compose(pair, "blend" if view.style == "blink" else view.style)
             self._start = (key, picture)
             self._start_cameras = start  # Ids of living objects do not repeat.
         return self._start[1]
-
-    def _aligned_pair(
-        self, cameras: tuple[Camera, ...], onto: int, quick: bool = False
-    ) -> AlignedPair:
-        """The next photo carried over into one; of a single photo the surface."""
-        if len(cameras) == 1:
-            return self._overlay.shape_pair(cameras, onto)
-        carried = (onto + 1) % len(cameras)
-        draw = self._overlay.quick_pair if quick else self._overlay.pair
-        return draw(cameras, onto, carried)
 
     def surface(self, cameras: tuple[Camera, ...], surface: Surface) -> SurfaceDrawn:
         """The object with photos or heat map laid on."""
@@ -170,33 +161,7 @@ class Drawing:
 
     def comparison(self, job: Compare) -> Compared:
         """Two sets of cameras beside each other, in every photo."""
-        overlay, photos = self._overlay, []
         mode = "carried" if job.style in ("blink", "swipe") else job.style
-        if len(overlay.photos) == 1 and mode == "carried":
-            # The surface alone would not show how the photo lies on it.
-            mode = "blend"
-        for onto, photo in enumerate(overlay.photos):
-            before = self._aligned_pair(job.before, onto)
-            after = self._aligned_pair(job.after, onto)
-            has_other = len(overlay.photos) > 1
-            photos.append(
-                PhotoComparison(
-                    name=photo.name,
-                    carried=overlay.photos[(onto + 1) % len(overlay.photos)].name,
-                    before=_jpeg(compose(before, mode)),
-                    after=_jpeg(compose(after, mode)),
-                    disagreement_before=_heat(before) if has_other else b"",
-                    disagreement_after=_heat(after) if has_other else b"",
-                    levels_before=mean_disagreement(before) if has_other else None,
-                    levels_after=mean_disagreement(after) if has_other else None,
-                )
-            )
-        return Compared(job, tuple(photos))
-
-
-def _heat(pair: AlignedPair) -> bytes:
-    return _jpeg(disagreement_picture(pair))
-
-
-def _jpeg(picture: np.ndarray) -> bytes:
-    return encode_jpeg(picture, JPEG_QUALITY)
+        return Compared(
+            job, draw_comparison(self._overlay, job.before, job.after, mode)
+        )

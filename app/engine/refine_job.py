@@ -9,7 +9,6 @@ import numpy as np
 
 from app.engine.overlay_job import Drawing
 from app.engine.picture_stream import PictureStream
-from app.model.cost_curve import CostCurve
 from app.model.messages import (
     Event,
     Job,
@@ -23,7 +22,7 @@ from app.model.messages import (
     Watch,
 )
 from app.model.pictures import Cloud, OverlayView
-from app.model.run import CurvePoint, KeptSearch
+from app.model.run import KeptSearch
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.imaging.photo import Photo
@@ -33,6 +32,7 @@ from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.events import Event as Step
 from photoreg.registration.events import Finished, Progress
 from photoreg.registration.refinement import refine
+from photoreg.report.cost_curve import CostCurve, CurvePoint
 
 PICTURE_PERIOD_S = 0.16
 """Time between overlay pictures during a refinement: six a second. Cameras, cost

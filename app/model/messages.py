@@ -6,7 +6,7 @@ from typing import Any
 
 from app.model.durations import Speed
 from app.model.pictures import Cloud, Compare, Compared, OverlayView, Picture
-from app.model.run import CurvePoint, KeptSearch
+from app.model.run import KeptSearch
 from app.model.state import Agreement, ModelChoice, Texture
 from photoreg.formats.cameras.cameras_json import CameraFile
 from photoreg.geometry.camera import Camera
@@ -15,6 +15,7 @@ from photoreg.imaging.photo import Photo
 from photoreg.parameters.freedom import Freedom
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.readiness import Readiness
+from photoreg.report.cost_curve import CurvePoint
 from photoreg.search.box_reach import BoxReach
 from photoreg.texture.blend import TextureConfig
 

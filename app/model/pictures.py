@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 
 from photoreg.geometry.camera import Camera
+from photoreg.report.comparison import PhotoComparison
 
 OverlayStyle = Literal["blend", "checkerboard", "difference", "edges", "blink", "swipe"]
 """How two photos are laid over each other."""
@@ -60,23 +61,6 @@ class Picture:
     """The surface's normals over that photo, where asked for."""
     lines: np.ndarray | None = None
     """Silhouette and creases that it sees, (s, 2, 3), where asked for."""
-
-
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class PhotoComparison:
-    """Before and after in one photo; all pictures are JPEG files."""
-
-    name: str
-    carried: str
-    """Name of the photo carried over into it."""
-    before: bytes
-    after: bytes
-    disagreement_before: bytes
-    """Empty, as the next, where there is no other photo."""
-    disagreement_after: bytes
-    levels_before: float | None
-    """Mean disagreement in grey levels of 255; None where nothing is shared."""
-    levels_after: float | None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -15,11 +15,12 @@ from app.model.messages import (
     Working,
 )
 from app.model.pictures import Picture
-from app.model.run import CurvePoint, Run
+from app.model.run import Run
 from app.model.scene_files import first_names, with_cameras_of_file
 from app.model.state import Document, Job, State, same_camera
 from app.model.up_axis import guessed_up
 from photoreg.geometry.camera import Camera
+from photoreg.report.cost_curve import CurvePoint
 
 MAX_CURVE_POINTS = 600
 """Beyond this every second point of the cost curve is dropped."""

@@ -6,11 +6,12 @@ No viser here.
 import dataclasses
 from typing import Literal
 
+from photoreg.checks import Measured
 from photoreg.geometry.camera import Camera
 from photoreg.parameters.freedom import Freedom
-from photoreg.project.types import Measured
 from photoreg.registration.config import PresetName, RegistrationConfig
 from photoreg.registration.verdict import Grade
+from photoreg.report.cost_curve import CurvePoint
 
 Status = Literal["idle", "starting", "running", "paused", "stopping", "review"]
 
@@ -21,26 +22,6 @@ PRESET_NAMES: dict[PresetName, str] = {
     "paper": "Paper's method (for comparison)",
 }
 """What the presets are called on the page, the quickest first."""
-
-Mark = Literal["", "restart", "level"]
-
-
-@dataclasses.dataclass(frozen=True)
-class CurvePoint:
-    """One point of the cost curve."""
-
-    step: int
-    """Which step of search and polish it is, from 0."""
-    best: Measured
-    """Cost of the best, relative to the first."""
-    median: Measured
-    """The same of the population's median; equal to ``best`` without one."""
-    low: Measured | None = None
-    """The same of the population's lower quartile; None without a population."""
-    high: Measured | None = None
-    """The same of the population's upper quartile; None without a population."""
-    mark: Mark = ""
-    """What begins here: a restart of the search, a level of the polish."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Where the static files are, and how a scene is opened from a folder or from files."""
+"""How a scene is opened: the demo, one of a folder, one of files."""
 
 import dataclasses
 from collections.abc import Iterable, Sequence
@@ -13,18 +13,13 @@ from photoreg.formats.cameras.registry import read_cameras
 from photoreg.formats.meshes.read import MESH_SUFFIXES, load_mesh
 from photoreg.formats.photos.read import load_photo
 from photoreg.formats.photos.registry import PHOTO_SUFFIXES
+from photoreg.report.static_files import static_folder
 
 DISPLAY_FACES = 150_000
 """Faces the page draws at most; WebGL in a browser takes 200,000 with ease."""
 
 ROUGH_CAMERAS = "rough.json"
 TRUE_CAMERAS = "cameras.json"
-
-
-def static_folder() -> Path:
-    """The folder of static files: within an installed app, beside it in a checkout."""
-    installed = Path(__file__).parents[1] / "static"
-    return installed if installed.is_dir() else Path(__file__).parents[2] / "static"
 
 
 def demo_folder() -> Path:

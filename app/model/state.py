@@ -420,8 +420,13 @@ class State:
         """
         if self.run.status == "review":
             return self.run.grade
-        if self.run.is_active:
+        if self.run.is_active or self.document_run is None:
             return None
+        return self.document_run.grade
+
+    @property
+    def document_run(self) -> Run | None:
+        """The run that made the document's cameras; None: none did, or they have moved."""
         used = self.document.used
         names = tuple(entry.name for entry in used)
         for run in reversed(self.runs):
@@ -429,7 +434,7 @@ class State:
                 same_camera(entry.camera, camera)
                 for entry, camera in zip(used, run.cameras, strict=True)
             ):
-                return run.grade
+                return run
         return None
 
     @property

@@ -24,6 +24,7 @@ from app.model.session import Session
 from app.model.state import Document
 from app.page.server import Page
 from app.web.access import AccessControl
+from photoreg.batch.mended import is_object_folder, opened_files, project_folder
 from photoreg.errors import InputError, OutputError
 from photoreg.formats.cameras.registry import read_cameras
 from photoreg.project.folder import FolderInUseError, check_is_free, holds_project
@@ -109,6 +110,13 @@ def open_project(
         InputError: if the project or a file cannot be used as it is.
         OutputError: if the named folder cannot be written.
     """
+    if len(files) == 1 and is_object_folder(files[0]):
+        if folder is not None or cameras is not None:
+            raise InputError(
+                f"{files[0]} is an object of a batch, which has its own cameras and its "
+                "own project. Open it without others."
+            )
+        files, cameras, folder = _object_of_batch(files[0])
     if folder is not None and holds_project(folder):
         if files or cameras is not None:
             raise InputError(
@@ -135,6 +143,15 @@ def open_project(
     if projects.current is not None:
         kept = projects.current
         _say(kept.read_only or f"Your work is kept in {kept.folder}.")
+
+
+def _object_of_batch(folder: Path) -> tuple[list[Path], Path | None, Path]:
+    """Files, cameras and project of an object; a project that is there has the others."""
+    project = project_folder(folder)
+    if holds_project(project):
+        return [], None, project
+    files, cameras = opened_files(folder)
+    return files, cameras, project
 
 
 def _check_folder(folder: Path, files: Sequence[Path], cameras: Path | None) -> None:

@@ -6,17 +6,17 @@ import numpy as np
 import viser
 import viser.uplot
 
-from app.control.comparison_html import SWIPE_STYLE, comparison_html
 from app.control.controller import Controller
 from app.model.markup import escaped
 from app.model.pictures import Compared, Surface
-from app.model.run import CurvePoint
 from app.model.session import setting
 from app.model.state import State
 from app.web.bridge import Bridge
 from app.web.controls import guarded, put, put_jpeg, put_value
 from app.web.styles import PHOTO_STYLES
 from app.web.widgets import Choice
+from photoreg.report.comparison_html import SWIPE_STYLE, comparison_html
+from photoreg.report.cost_curve import CurvePoint
 
 SURFACES: dict[str, Surface] = {
     "Photos": "photos",

@@ -4,7 +4,6 @@ import viser
 
 from app.control.controller import Controller
 from app.model.durations import expected_seconds
-from app.model.formatting import in_words, number
 from app.model.markup import escaped, in_markdown
 from app.model.reducers import has_moved
 from app.model.run import PRESET_NAMES, Run
@@ -17,6 +16,7 @@ from app.panels.meter import VERDICTS
 from app.panels.runs import RunsPanel
 from app.web.controls import guarded, guarded_slow, put, put_value
 from photoreg.registration.config import PresetName, RegistrationConfig
+from photoreg.words import in_words, number
 
 PRESETS: dict[str, PresetName] = {name: key for key, name in PRESET_NAMES.items()}
 PRESET_HELP: dict[PresetName, str] = {

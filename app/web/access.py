@@ -26,13 +26,13 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from app.model.scene_files import static_folder
 from app.web.incoming import check_incoming
 from app.web.photo_server import ROOT, PhotoServer
 from app.web.scripts import Hook, with_scripts
 from app.web.token_guesses import Guesses
 from app.web.viser_patches import use_thread_safe_buffers
 from photoreg.errors import InputError
+from photoreg.report.static_files import static_text
 
 log = logging.getLogger(__name__)
 
@@ -261,7 +261,7 @@ def refusal(text: str, html: bool = False) -> Response:
 
 @functools.cache
 def _token_page() -> str:
-    return (static_folder() / "token.html").read_text(encoding="utf-8")
+    return static_text("token.html")
 
 
 def _redirection(pairs: list[tuple[str, str]]) -> Response:

@@ -16,9 +16,9 @@ import numpy as np
 
 from app.model.masks import decode_mask
 from app.model.messages import SMALL_PX
-from app.model.scene_files import static_folder
 from photoreg.imaging.encoding import encode, encode_jpeg
 from photoreg.imaging.photo import Photo
+from photoreg.report.static_files import static_folder
 
 ROOT = "/photoreg/"
 OVERVIEW_PX = 1600

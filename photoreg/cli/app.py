@@ -36,7 +36,8 @@ def app_command(
     """Open the app in the browser; without files, on the demo.
 
     Args:
-        files: A mesh and its photos, or a folder that `photoreg synthesize` made.
+        files: A mesh and its photos; or a folder that `photoreg synthesize` made, or one of
+            an object that `photoreg batch` made.
         cameras: Cameras of the photos, a photoreg camera file.
         project: Folder that keeps the work: opened as it was left where it is a project,
             made where not. Without it, a new one in your data folder.

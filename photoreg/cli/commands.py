@@ -10,12 +10,10 @@ import itertools
 import json
 import math
 import os
-import signal
 import sys
 import tempfile
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
@@ -26,15 +24,16 @@ import tyro
 
 from photoreg.checks import noting_inputs
 from photoreg.cli.app import app_command
+from photoreg.cli.batch import make_batch_command
 from photoreg.cli.convert import convert_command
+from photoreg.cli.stopping import asked_to_stop
 from photoreg.cli.undistort import undistort_command
 from photoreg.errors import InputError, OutputError, PhotoregError
 from photoreg.formats.cameras.cameras_json import CameraFile, save_cameras
-from photoreg.formats.cameras.registry import photos_by_name, read_cameras
+from photoreg.formats.cameras.registry import read_cameras
 from photoreg.formats.meshes.read import load_mesh
 from photoreg.formats.models.encode_texture import PictureKind, encode_picture
 from photoreg.formats.models.registry import save_textured, textured_files
-from photoreg.formats.photos.read import load_photo
 from photoreg.formats.writing import Content, check_outputs, check_suffix
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
@@ -48,6 +47,7 @@ from photoreg.parameters.freedom import Freedom
 from photoreg.registration.config import PresetName, RegistrationConfig
 from photoreg.registration.events import Finished, Progress
 from photoreg.registration.refinement import refine
+from photoreg.registration.scene_files import cropped_by_exif, load_scene
 from photoreg.registration.world import (
     in_world_of_mesh,
     judge,
@@ -69,10 +69,12 @@ _log = rich.console.Console(stderr=True, highlight=False, soft_wrap=True)
 
 
 def commands(argv: Sequence[str] = ()) -> dict[str, Callable[..., int]]:
-    """The commands by name; the defaults of `refine` are those of argv's --preset."""
+    """The commands by name; the defaults of `refine` and `batch` are those of argv's --preset."""
+    preset = RegistrationConfig.preset(_preset(argv))
     return {
         "app": app_command,
-        "refine": _refine_command(RegistrationConfig.preset(_preset(argv))),
+        "refine": _refine_command(preset),
+        "batch": make_batch_command(preset),
         "evaluate": evaluate_command,
         "texture": texture_command,
         "convert": convert_command,
@@ -205,7 +207,7 @@ def _refine_command(preset: RegistrationConfig) -> Callable[..., int]:
 
 def _cropped_by_exif(photos: Sequence[Photo], named: Sequence[str]) -> list[str]:
     """Names of photos that EXIF shows to be cropped and nobody named; each is told."""
-    names = [p.name for p in photos if p.is_cropped and p.name not in named]
+    names = cropped_by_exif(photos, named)
     for name in names:
         _log.print(
             f"Note: {name} was cropped, as its EXIF tells; its principal point may be far "
@@ -383,7 +385,7 @@ def texture_command(
     # Once more: the mesh may have named a material and a texture of its own.
     check_outputs(targets, (mesh, *photos, cameras), overwrite)
     began = time.perf_counter()
-    with _bar() as bar, _asked_to_stop() as stop:
+    with _bar() as bar, asked_to_stop() as stop:
         task = bar.add_task("getting ready", total=1.0, cost="")
         textured = None
         for textured in baking(surface, pictures, exact, config):
@@ -499,7 +501,7 @@ def reproduce_command(
         seed: Seed of the rough cameras and the searches.
         overwrite: Also replace files in the folder that photoreg did not make.
     """
-    with _bar() as bar, _asked_to_stop() as stop:
+    with _bar() as bar, asked_to_stop() as stop:
         task = bar.add_task("getting ready", total=1.0, cost="")
         for step in reproduce(out, runs, seed, overwrite=overwrite):
             if isinstance(step, Reproduced):
@@ -574,13 +576,10 @@ def _drop_output() -> None:
 def _load_scene(
     mesh: Path, photos: Sequence[Path], cameras: Path
 ) -> tuple[Mesh, list[Photo], CameraFile, list[Camera]]:
-    if not photos:
-        raise InputError("Give at least 1 photo, not 0.")
-    file = read_cameras(cameras, photos=photos_by_name(photos))
-    surface = _surface(mesh)
-    pictures = [load_photo(path) for path in photos]
-    file = _told(in_world_of_mesh(surface, pictures, file))
-    return surface, pictures, file, file.of_photos(pictures)
+    scene = load_scene(mesh, photos, cameras)
+    for note in scene.notes:
+        _log.print(f"Note: {note}", markup=False)
+    return scene.mesh, list(scene.photos), scene.file, list(scene.cameras)
 
 
 def _told(file: CameraFile) -> CameraFile:
@@ -606,7 +605,7 @@ def _watch(
     freedom: Freedom,
 ) -> tuple[Progress | Finished, bool]:
     """Runs a refinement under a progress bar; its last event, and whether Ctrl-C came."""
-    with _bar() as bar, _asked_to_stop() as stop:
+    with _bar() as bar, asked_to_stop() as stop:
         task = bar.add_task("getting ready", total=1.0, cost="")
         event = None
         for event in refine(mesh, photos, start, config, freedom):
@@ -633,27 +632,6 @@ def _bar() -> rich.progress.Progress:
         console=_log,
         transient=True,
     )
-
-
-@contextlib.contextmanager
-def _asked_to_stop() -> Iterator[threading.Event]:
-    """An event that Ctrl-C sets; a second Ctrl-C interrupts at once.
-
-    An exception raised by the signal itself would land in the middle of compiled
-    code, which cannot pass it on.
-    """
-    asked = threading.Event()
-    previous = signal.getsignal(signal.SIGINT)
-
-    def ask(*_: object) -> None:
-        asked.set()
-        signal.signal(signal.SIGINT, previous)
-
-    signal.signal(signal.SIGINT, ask)
-    try:
-        yield asked
-    finally:
-        signal.signal(signal.SIGINT, previous)
 
 
 def _print_json(figures: dict[str, Any]) -> None:

@@ -13,7 +13,7 @@ COMMENT = "made by photoreg"
 
 _HEAD_BYTES = 4096
 _MAX_GLTF_BYTES = 1 << 24
-_LINE = re.compile(rb"(#|comment|<!--) made by photoreg( -->)?")
+_LINE = re.compile(rb"(#|comment|<!--) made by photoreg( -->)?|[\w,]+,made by photoreg")
 _JSON = re.compile(rb'\s*\{\s*"(format"\s*:\s*"photoreg-|generator"\s*:\s*"photoreg")')
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_HEADER_END = 33
@@ -48,7 +48,8 @@ def is_marked(path: Path) -> bool:
     """Whether a file says that photoreg made it.
 
     It does so at its beginning, as its format permits: by its "format" or "generator"
-    in JSON and glTF, as a comment line, by a PNG's software, by a JPEG's comment.
+    in JSON and glTF, as a comment line, as a table's last column, by a PNG's software, by
+    a JPEG's comment.
 
     Raises:
         OSError: if it cannot be read.

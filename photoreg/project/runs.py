@@ -9,10 +9,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from photoreg.checks import Measured
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
 from photoreg.project.schema import now_utc
-from photoreg.project.types import Measured, check_fields
+from photoreg.project.types import check_fields
 from photoreg.project.values import Values
 
 Cameras = tuple[Camera, ...]

@@ -17,11 +17,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from jaxtyping import AbstractArray, jaxtyped
 
+from photoreg.checks import Measured
 from photoreg.errors import InputError
 from photoreg.names import presentable
-
-Measured = Annotated[float, "may be infinite or NaN"]
-"""A number that was measured. Every other one in a dataclass must be finite."""
 
 INTEGERS = range(-(2**63), 2**64)
 """Integers that can be sent and stored."""

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import viser
 
-from app.control.comparison_html import swipe_html
 from app.model.session import with_document, with_entry
 from app.model.state import PointPair, same_camera
 from app.page.server import Page
 from app.web.widgets import HELP
+from photoreg.report.comparison_html import swipe_html
 from tests.browser.driver import FINE, wait_until
 
 SCRIPTS = Path(__file__).parents[2] / "static"

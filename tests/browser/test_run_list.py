@@ -4,9 +4,9 @@ import re
 
 import pytest
 
-from app.model.formatting import in_words, number
 from app.model.reducers import has_moved
 from app.model.session import looking_at
+from photoreg.words import in_words, number
 from tests.browser.driver import wait_until
 from tests.browser.refine_runs import QUICK, drop, open_to_refine, start, to_its_end
 

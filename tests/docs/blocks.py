@@ -27,6 +27,9 @@ PAGES = sorted(
 OTHER_PROGRAMS = ("ssh", ".venv/bin/pytest")
 """Programs that the tests do not run."""
 
+OTHER_LIBRARIES = ("dask_jobqueue", "dask_kubernetes")
+"""Libraries that need a cluster to be of any use, and that the tests do not install."""
+
 _BLOCK = re.compile(r"^( *)```(\w+)\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)
 
 

@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 from jaxtyping import Float, UInt8
 
+from photoreg.checks import Measured
 from photoreg.errors import InputError
 from photoreg.limits import Limits
 from photoreg.project import values
 from photoreg.project.check import check_project
 from photoreg.project.folder import DATABASE
 from photoreg.project.project import Project, StoredStep
-from photoreg.project.types import Measured
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,7 +17,7 @@ from app.control.autosave import CHOICES, DOCUMENT_TYPES
 from app.control.project_reading import read_all
 from app.engine.warm_up import toy_scene
 from app.model.masks import encode_mask
-from app.model.run import CurvePoint, Run
+from app.model.run import Run
 from app.model.state import Document, PhotoEntry, PointPair, State
 from photoreg.formats.meshes.read import load_mesh
 from photoreg.formats.models.ply import save_mesh
@@ -27,6 +27,7 @@ from photoreg.project.folder import DATABASE
 from photoreg.project.guard import MAX_ROWS
 from photoreg.project.project import Project, StoredStep
 from photoreg.project.runs import StoredGeneration
+from photoreg.report.cost_curve import CurvePoint
 
 FOLDER = "a project"
 DATABASE_PATH = f"{FOLDER}/{DATABASE}"

@@ -167,8 +167,7 @@ def test_files_are_opened_by_photoreg_sources_alone():
 ALLOWED = {
     "sources": "the place",
     "photo_server": "static files of the program",
-    "access": "the same",
-    "run_report": "the same",
+    "static_files": "the same",
     "registry: files[0]": "what it wrote itself",
     "download": "the same",
     "archives: target": "the same",

@@ -18,7 +18,7 @@ from app.control.projects import Projects, remove_untouched
 from app.control.user_data import LOG_FILE
 from app.model import photo_list
 from app.model.masks import painted_mask
-from app.model.run import CurvePoint, KeptSearch, Run
+from app.model.run import KeptSearch, Run
 from app.model.scene_files import demo_folder
 from app.model.session import Session, select, setting, with_document, with_entry
 from app.model.state import ModelChoice, PointPair, State
@@ -28,6 +28,7 @@ from photoreg.formats.photos.read import load_photo
 from photoreg.project.files import FileProblem
 from photoreg.project.project import Project
 from photoreg.registration.config import RegistrationConfig
+from photoreg.report.cost_curve import CurvePoint
 
 WRITER = """
 import sys

@@ -38,7 +38,6 @@ from app.model.messages import (
     Watch,
 )
 from app.model.pictures import OverlayView, Picture
-from app.model.run import CurvePoint
 from app.model.session import Session, with_entry
 from app.model.state import Document, ModelChoice, PhotoEntry, State, same_camera
 from app.model.undo_history import UndoStep
@@ -46,6 +45,7 @@ from photoreg.errors import InputError, RefinementError
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.events import Finished
 from photoreg.registration.refinement import refine
+from photoreg.report.cost_curve import CurvePoint
 from photoreg.synthetic.options import SceneOptions
 from photoreg.synthetic.scene import Scene, make_scene
 from photoreg.texture.blend import TextureConfig

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from app.engine.warm_up import toy_scene
-from app.model.pictures import PhotoComparison
-from app.model.run import CurvePoint, Run
+from app.model.run import Run
 from app.model.state import (
     Agreement,
     Document,
@@ -22,6 +21,8 @@ from app.model.state import (
 )
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.readiness import Readiness
+from photoreg.report.comparison import PhotoComparison
+from photoreg.report.cost_curve import CurvePoint
 from photoreg.resection.solver import Resection
 from photoreg.texture.blend import TextureConfig
 from tests.robustness.lying_meshes import glb

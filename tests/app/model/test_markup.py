@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from viser import _messages
 
-from app.control import run_report
 from app.control.controller import Controller
+from app.control.run_control import report_of
 from app.model.markup import escaped, in_markdown, mounted, sending
 from app.model.pictures import Compare, Compared
 from app.model.session import Session
@@ -19,6 +19,8 @@ from app.panels import project
 from app.panels.pair_table import pair_rows, table_html
 from app.web.scripts import SCRIPTS
 from photoreg.project.files import FileProblem
+from photoreg.report.run_report import report_html
+from photoreg.report.static_files import static_folder, static_text
 from tests.app.model.hostile_words import WORDS, hostile_comparison, hostile_states
 
 
@@ -91,7 +93,8 @@ def test_no_panel_lets_words_become_markup(shown):
 
 
 def test_no_html_of_ours_has_script_in_an_attribute():
-    for path in Path(escaped.__code__.co_filename).parent.glob("*.py"):
+    rooms = [Path(f.__code__.co_filename).parent for f in (escaped, report_html)]
+    for path in [path for room in rooms for path in room.glob("*.py")]:
         found = re.findall(r"[\s\"']on[a-z]+=\\?[\"'{]", path.read_text("utf-8"))
         assert not found, f"{path}: the page's policy forbids {found}"
 
@@ -101,8 +104,8 @@ def test_a_report_of_a_run_keeps_hostile_words_as_words():
     cameras = state.document.used_cameras
     asked = Compare(cameras, cameras, "blend", "clay")
     compared = Compared(asked, (hostile_comparison(),))
-    text = run_report.report_html(state, compared)
-    own = Path(run_report.static_folder() / "compare.js").read_text("utf-8")
+    text = report_html(report_of(state, compared))
+    own = static_text("compare.js")
     assert text.count("<script>") == 1
     check_harmless(text.replace(f"<script>\n{own}</script>", ""))
 
@@ -147,4 +150,4 @@ def test_markdown_keeps_a_text_in_its_line_and_cell():
 
 def test_every_script_of_the_page_is_a_file():
     for name in SCRIPTS:
-        assert (run_report.static_folder() / f"{name}.js").is_file()
+        assert (static_folder() / f"{name}.js").is_file()

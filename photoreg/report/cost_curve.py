@@ -1,9 +1,32 @@
 """The cost of a refinement as one curve over search and polish."""
 
+import dataclasses
+from typing import Literal
+
 import numpy as np
 
-from app.model.run import CurvePoint, Mark
+from photoreg.checks import Measured
 from photoreg.registration.events import Progress
+
+Mark = Literal["", "restart", "level"]
+
+
+@dataclasses.dataclass(frozen=True)
+class CurvePoint:
+    """One point of the cost curve."""
+
+    step: int
+    """Which step of search and polish it is, from 0."""
+    best: Measured
+    """Cost of the best, relative to the first."""
+    median: Measured
+    """The same of the population's median; equal to ``best`` without one."""
+    low: Measured | None = None
+    """The same of the population's lower quartile; None without a population."""
+    high: Measured | None = None
+    """The same of the population's upper quartile; None without a population."""
+    mark: Mark = ""
+    """What begins here: a restart of the search, a level of the polish."""
 
 
 class CostCurve:

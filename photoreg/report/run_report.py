@@ -1,52 +1,76 @@
-"""The report of a run: one HTML file that needs no server, to be sent to a colleague."""
+"""The report of a refinement: one HTML file that needs no server, to be sent to a colleague."""
 
 import dataclasses
 import importlib.metadata
 import math
 import platform
 import string
+from collections.abc import Sequence
+from html import escape
 from typing import Any
 
-from app.control.comparison_html import SWIPE_STYLE, comparison_html
-from app.model.formatting import number
-from app.model.markup import escaped
-from app.model.pictures import Compared
-from app.model.run import CurvePoint, Run
-from app.model.scene_files import static_folder
-from app.model.state import State
+from photoreg.formats.mark import COMMENT
+from photoreg.geometry.camera import Camera
 from photoreg.registration.config import RegistrationConfig
+from photoreg.report.comparison import PhotoComparison
+from photoreg.report.comparison_html import SWIPE_STYLE, comparison_html
+from photoreg.report.cost_curve import CurvePoint
+from photoreg.report.static_files import static_text
+from photoreg.words import number
 
 PROGRAMS = ("photoreg", "numpy", "numba", "opencv-python-headless", "scipy")
 WIDTH, HEIGHT, MARGIN = 760, 300, 56
 
 
-def report_html(state: State, compared: Compared) -> str:
-    """The run on screen: pictures, curve, numbers, settings and versions."""
-    run = state.run
-    left = f"run {state.compared_with}" if state.compared_with else "start"
-    mesh = state.document.mesh
-    template, script = (
-        (static_folder() / name).read_text(encoding="utf-8")
-        for name in ("compare.html", "compare.js")
-    )
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RunReport:
+    """What a report tells of a refinement."""
+
+    title: str
+    subtitle: str
+    outcome: str
+    """How it ended, and the verdict."""
+    warnings: Sequence[str]
+    comparisons: Sequence[PhotoComparison]
+    left: str
+    """What is before in them."""
+    elapsed_s: float
+    generations: int
+    evaluations: int
+    errors_px: tuple[float, float] | None = None
+    """Mean projection error before and now, where the truth is known."""
+    expected_error_px: float | None = None
+    costs: tuple[float, float] | None = None
+    """Cost before and now, where both were measured."""
+    certainty: Sequence[str] = ()
+    """How sure the cameras are, and what is open."""
+    curve: tuple[CurvePoint, ...] = ()
+    photo_names: Sequence[str]
+    start: Sequence[Camera]
+    """One a photo."""
+    cameras: Sequence[Camera]
+    """One a photo."""
+    config: RegistrationConfig | None = None
+
+
+def report_html(run: RunReport) -> str:
+    """Pictures, curve, numbers, settings and versions as a page."""
     pictures = "".join(
-        f"<h3>{escaped(photo.carried)} projected onto "
-        f"{escaped(photo.name)}</h3>" + comparison_html(photo, left)
-        for photo in compared.photos
+        f"<h3>{escape(photo.carried)} projected onto "
+        f"{escape(photo.name)}</h3>" + comparison_html(photo, run.left)
+        for photo in run.comparisons
     )
-    return string.Template(template).substitute(
-        title=escaped(f"Run {run.number}: {', '.join(run.photo_names)}"),
-        subtitle=escaped(
-            f"{mesh.name if mesh is not None else ''} · {run.began} · "
-            f"{run.settings_name}"
-        ),
-        outcome=escaped(f"{run.outcome} {run.verdict}"),
+    return string.Template(static_text("compare.html")).substitute(
+        mark=f"<!-- {COMMENT} -->",
+        title=escape(run.title),
+        subtitle=escape(run.subtitle),
+        outcome=escape(run.outcome),
         warnings=_list([f"⚠ {warning}" for warning in run.warnings]),
         style=SWIPE_STYLE,
-        script=script,
+        script=static_text("compare.js"),
         pictures=pictures,
         numbers=_rows(_numbers(run)),
-        certainty=_list([*run.standard_errors, *run.undetermined])
+        certainty=_list(run.certainty)
         or "<p>No polish ran, so nothing is known of it.</p>",
         curve=curve_svg(run.curve),
         cameras=_cameras(run),
@@ -55,24 +79,24 @@ def report_html(state: State, compared: Compared) -> str:
     )
 
 
-def _numbers(run: Run) -> list[tuple[str, str]]:
+def _numbers(run: RunReport) -> list[tuple[str, str]]:
     rows = []
-    if run.start_error_px is not None and run.error_px is not None:
+    if run.errors_px is not None:
+        before, now = run.errors_px
         rows.append(
             (
                 "True error (the truth is known here)",
-                f"{run.start_error_px:.2f} px before, {run.error_px:.2f} px now",
+                f"{before:.2f} px before, {now:.2f} px now",
             )
         )
     if run.expected_error_px is not None:
         rows.append(("Expected error", f"{run.expected_error_px:.2f} px"))
-    if run.start_cost is not None and run.cost is not None:
-        rows.append(
-            ("Cost", f"{number(run.start_cost)} before, {number(run.cost)} now")
-        )
+    if run.costs is not None:
+        before, now = map(number, run.costs)
+        rows.append(("Cost", f"{before} before, {now} now"))
     rows += [
         ("Time", f"{run.elapsed_s:.1f} s"),
-        ("Generations", f"{run.generation:,}"),
+        ("Generations", f"{run.generations:,}"),
         ("Evaluations", f"{run.evaluations:,}"),
     ]
     return rows
@@ -104,7 +128,7 @@ def _versions() -> list[tuple[str, str]]:
     return rows
 
 
-def _cameras(run: Run) -> str:
+def _cameras(run: RunReport) -> str:
     rows = []
     for name, start, now in zip(run.photo_names, run.start, run.cameras, strict=True):
         for when, camera in (("before", start), ("now", now)):
@@ -123,16 +147,16 @@ def _cameras(run: Run) -> str:
 
 def _rows(rows: list[tuple[str, str]]) -> str:
     body = "".join(
-        f"<tr><th>{escaped(name)}</th><td>{escaped(value)}</td></tr>"
+        f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>"
         for name, value in rows
     )
     return f"<table>{body}</table>"
 
 
-def _list(sentences: list[str]) -> str:
+def _list(sentences: Sequence[str]) -> str:
     if not sentences:
         return ""
-    return "<ul>" + "".join(f"<li>{escaped(s)}</li>" for s in sentences) + "</ul>"
+    return "<ul>" + "".join(f"<li>{escape(s)}</li>" for s in sentences) + "</ul>"
 
 
 def curve_svg(curve: tuple[CurvePoint, ...]) -> str:

@@ -1,10 +1,10 @@
 """Before and after as HTML that works by itself: swipe, blink, heat maps beside."""
 
 import base64
+from html import escape
 
-from app.model.markup import escaped
-from app.model.pictures import PhotoComparison
 from photoreg.overlay.disagreement_map import TOP_LEVELS
+from photoreg.report.comparison import PhotoComparison
 
 SWIPE_STYLE = """<style>
 .pr-swipe{position:relative;--x:50%;line-height:0;border-radius:6px;overflow:hidden}
@@ -57,8 +57,8 @@ def swipe_html(before: bytes, after: bytes, left: str) -> str:
     return (
         '<div class="pr-swipe">'
         f'<img class="after" src="{data_uri(after)}" alt="now">'
-        f'<img class="before" src="{data_uri(before)}" alt="{escaped(left)}">'
-        f'<i></i><b style="left:8px">{escaped(left)}</b>'
+        f'<img class="before" src="{data_uri(before)}" alt="{escape(left)}">'
+        f'<i></i><b style="left:8px">{escape(left)}</b>'
         f'<b style="right:8px">now</b>'
         '<input type="range" min="0" max="100" step="0.1" value="50" '
         'aria-label="Line between before and after" '
@@ -87,7 +87,7 @@ def beside_html(
     return (
         '<div class="pr-beside">'
         f'<div><img src="{data_uri(before)}" alt="disagreement before">'
-        f"<span>{escaped(left)}: {words[0]}</span></div>"
+        f"<span>{escape(left)}: {words[0]}</span></div>"
         f'<div><img src="{data_uri(after)}" alt="disagreement now">'
         f"<span>now: {words[1]}</span></div></div>"
         '<div class="pr-scale"></div><div class="pr-ends"><span>photos agree</span>'

@@ -1,0 +1,1 @@
+"""Many objects, each refined, textured and reported on its own, on Dask."""

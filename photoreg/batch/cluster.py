@@ -1,0 +1,102 @@
+"""Dask: a cluster of this machine's cores, or one that is there."""
+
+import contextlib
+import importlib.util
+import logging
+import os
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+from photoreg.errors import InputError
+
+LOOPBACK = "127.0.0.1"
+
+CONNECT_TIMEOUT_S = 30
+
+ONE_THREAD_EACH = (
+    "NUMBA_NUM_THREADS",
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+)
+
+
+@contextlib.contextmanager
+def connected(scheduler: str | None, n_workers: int, threads: int) -> Iterator[Any]:
+    """A `distributed.Client` of the scheduler given, or of a cluster of our own.
+
+    Our own is bound to loopback, its dashboard too; it ends with the context.
+
+    Args:
+        scheduler: Address of a scheduler; None: a cluster of our own.
+        n_workers: Of our own: processes, each of which works on one object at a time.
+        threads: Of our own: the engine's threads in each.
+
+    Raises:
+        InputError: if Dask is not installed, or there is no scheduler at the address.
+    """
+    try:
+        import dask  # noqa: PLC0415 - an extra, and it takes a second.
+        import distributed  # noqa: PLC0415
+    except ModuleNotFoundError as error:
+        raise InputError(
+            "photoreg batch runs on Dask, which is not installed. Install it: "
+            "pip install 'photoreg[cluster]'"
+        ) from error
+    # What becomes of workers is told in the progress and the logs of objects.
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    with warnings.catch_warnings(), contextlib.ExitStack() as end:
+        # Contents that are sent along are meant to be.
+        warnings.filterwarnings("ignore", message="Sending large graph")
+        if scheduler is not None:
+            try:
+                client = distributed.Client(
+                    scheduler, timeout=CONNECT_TIMEOUT_S, set_as_default=False
+                )
+            except (OSError, ValueError, TimeoutError) as error:
+                raise InputError(
+                    f"There is no Dask scheduler at {scheduler} ({error}). Its address is "
+                    "like tcp://HOST:8786; start one with `dask scheduler`."
+                ) from error
+            yield end.enter_context(client)
+            return
+        end.enter_context(
+            dask.config.set(
+                {
+                    # Each death of a worker is counted here, see `Attempts`.
+                    "distributed.scheduler.allowed-failures": 0,
+                    # No object waits at a worker that may die of another one.
+                    "distributed.scheduler.worker-saturation": 1.0,
+                }
+            )
+        )
+        cluster = distributed.LocalCluster(
+            n_workers=n_workers,
+            threads_per_worker=1,
+            processes=True,
+            host=LOOPBACK,
+            dashboard_address=f"{LOOPBACK}:0" if has_dashboard() else None,
+            silence_logs=logging.CRITICAL,
+            env={name: str(threads) for name in ONE_THREAD_EACH},
+            preload=["photoreg.batch.worker"],
+        )
+        end.enter_context(cluster)
+        yield end.enter_context(distributed.Client(cluster, set_as_default=False))
+
+
+def has_dashboard() -> bool:
+    """Whether what draws Dask's dashboard is installed."""
+    return importlib.util.find_spec("bokeh") is not None
+
+
+def dashboard_link(client: Any) -> str:
+    """Where the dashboard is; empty where there is none."""
+    return str(client.dashboard_link) if has_dashboard() else ""
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

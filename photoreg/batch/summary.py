@@ -1,0 +1,301 @@
+"""What came of a collection: a table, and the triage page, the worst first."""
+
+import csv
+import dataclasses
+import html
+import importlib.metadata
+import io
+import shlex
+import string
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+from urllib.parse import quote
+
+from photoreg.batch.mended import MENDED
+from photoreg.batch.record import ObjectRecord
+from photoreg.batch.run import AFTER, BEFORE, CAMERAS, LOG, MODEL, REPORT
+from photoreg.formats.mark import COMMENT
+from photoreg.formats.writing import check_outputs, write_files
+from photoreg.project.result import ProjectResult
+from photoreg.registration.verdict import Grade
+from photoreg.report.static_files import static_text
+from photoreg.words import in_words, percent
+
+SUMMARY, PAGE = "summary.csv", "index.html"
+
+Status = Literal["done", "mended", "failed", "lost", "refused", "not run"]
+
+STATUS_WORDS: dict[Status, str] = {
+    "failed": "failed",
+    "refused": "refused",
+    "lost": "attempts lost",
+    "not run": "not run yet",
+    "mended": "mended by hand",
+    "done": "no verdict",
+}
+"""What stands in the place of a verdict where there is none."""
+
+ORDER = (
+    "failed",
+    "refused",
+    "lost",
+    "unconvincing",
+    "done",
+    "plausible",
+    "mended",
+    "convincing",
+    "not run",
+)
+"""Verdicts, and states without one, the worst first."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SummaryRow:
+    """What is told of an object."""
+
+    name: str
+    status: Status
+    verdict: Grade | None = None
+    sentence: str = ""
+    """The verdict in words, or what went wrong."""
+    expected_error_px: float | None = None
+    start_cost: float | None = None
+    cost: float | None = None
+    photos: int | None = None
+    seen_share: float | None = None
+    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    total_s: float | None = None
+    cameras: str = ""
+    """Path of the cameras from the folder of all results; so on."""
+    model: str = ""
+    report: str = ""
+    has_log: bool = False
+    has_thumbnails: bool = False
+    can_be_opened: bool = False
+    """Whether the app knows the object's files."""
+
+    @property
+    def rank(self) -> tuple[int, float, str]:
+        """Where it stands, the worst first."""
+        order = ORDER.index(self.verdict or self.status)
+        return order, -(self.expected_error_px or 0.0), self.name
+
+
+def row_of(
+    name: str, record: ObjectRecord | None, mended: ProjectResult | None = None
+) -> SummaryRow:
+    """The row of an object that has a record, or that a person has mended.
+
+    Args:
+        name: Of the object.
+        record: Of the object, as far as there is one.
+        mended: What a person made of it; None: nothing.
+    """
+    figures: dict[str, Any] = {} if record is None else dict(record.figures)
+    outputs = () if record is None else record.outputs
+    models = [file for file in outputs if Path(file).stem == MODEL]
+    has_failed = record is None or record.ending == "failed"
+    row = SummaryRow(
+        name=name,
+        status="failed" if has_failed else "done",
+        verdict=figures.get("verdict"),
+        sentence=figures.get("sentence", ""),
+        expected_error_px=figures.get("expected_error_px"),
+        start_cost=figures.get("start_cost"),
+        cost=figures.get("cost"),
+        photos=figures.get("photos"),
+        seen_share=figures.get("seen_share"),
+        warnings=tuple(figures.get("warnings", ())),
+        notes=tuple(figures.get("notes", ())),
+        total_s=figures.get("total_s"),
+        cameras=f"{name}/{CAMERAS}" if CAMERAS in outputs else "",
+        model=f"{name}/{sorted(models, key=_is_picture)[0]}" if models else "",
+        report=f"{name}/{REPORT}" if REPORT in outputs else "",
+        has_log=has_failed,
+        has_thumbnails=AFTER in outputs,
+        can_be_opened=record is not None,
+    )
+    if mended is None:
+        return row
+    return dataclasses.replace(
+        row,
+        status="mended",
+        verdict=mended.grade,
+        sentence=mended.sentence or "Its cameras were placed by hand.",
+        expected_error_px=mended.expected_error_px,
+        start_cost=None,
+        cost=None,
+        warnings=(),
+        photos=len(mended.cameras),
+        cameras=f"{name}/{MENDED}",
+        has_log=False,
+    )
+
+
+def _is_picture(name: str) -> bool:
+    return Path(name).suffix not in (".glb", ".obj", ".ply")
+
+
+COLUMNS = (
+    "object",
+    "status",
+    "verdict",
+    "sentence",
+    "expected_error_px",
+    "start_cost",
+    "cost",
+    "photos",
+    "seen_share",
+    "seconds",
+    "warnings",
+    "notes",
+    "cameras",
+    "model",
+    "report",
+    COMMENT,
+)
+
+
+def write_summary(out: Path, rows: Sequence[SummaryRow]) -> tuple[Path, Path]:
+    """Writes table and triage page; returns their paths.
+
+    Raises:
+        OutputError: if they cannot be written, or other files have their names.
+    """
+    table, page = out / SUMMARY, out / PAGE
+    write_files({table: csv_of(rows), page: page_of(out, rows)}, overwrite=False)
+    return table, page
+
+
+def check_summary(out: Path) -> None:
+    """Checks that it can be written, before the long work that it tells of.
+
+    Raises:
+        OutputError: if it cannot, or other files have its names.
+    """
+    check_outputs([out / SUMMARY, out / PAGE])
+
+
+def csv_of(rows: Sequence[SummaryRow]) -> str:
+    """The table, a row an object in the collection's order."""
+    text, version = io.StringIO(), importlib.metadata.version("photoreg")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for row in rows:
+        cells = (
+            row.name,
+            row.status,
+            row.verdict,
+            row.sentence,
+            row.expected_error_px,
+            row.start_cost,
+            row.cost,
+            row.photos,
+            row.seen_share,
+            row.total_s,
+            " ".join(row.warnings),
+            " ".join(row.notes),
+            row.cameras,
+            row.model,
+            row.report,
+            version,
+        )
+        writer.writerow(["" if cell is None else cell for cell in cells])
+    return text.getvalue()
+
+
+def page_of(out: Path, rows: Sequence[SummaryRow]) -> str:
+    """The triage page, which opens from the disk and loads nothing from elsewhere."""
+    ranked = sorted(rows, key=lambda row: row.rank)
+    counts = dict.fromkeys(ORDER, 0)
+    for row in rows:
+        counts[row.verdict or row.status] += 1
+    return string.Template(static_text("triage.html")).substitute(
+        mark=f"<!-- {COMMENT} -->",
+        title=html.escape(out.name),
+        place=html.escape(str(out)),
+        total=f"{len(rows):,}",
+        filters="".join(_filter(key, n) for key, n in counts.items() if n),
+        rows="\n".join(_row_html(out, row, n) for n, row in enumerate(ranked)),
+        script=static_text("triage.js"),
+    )
+
+
+def _filter(key: str, count: int) -> str:
+    return (
+        f'<button type="button" class="chip {_css(key)}" data-filter="{key}" '
+        f'aria-pressed="false"><i></i>{_words(key)} <b>{count:,}</b></button>'
+    )
+
+
+def _css(key: str) -> str:
+    return key.replace(" ", "-")
+
+
+def _words(key: str) -> str:
+    return next((w for status, w in STATUS_WORDS.items() if status == key), key)
+
+
+def _row_html(out: Path, row: SummaryRow, rank: int) -> str:
+    key = row.verdict or row.status
+    error = row.expected_error_px
+    facts = []
+    if error is not None:
+        facts.append(f"<b>{error:.2f} px</b> expected error")
+    if row.photos is not None:
+        facts.append(f"{row.photos} photo{'s' * (row.photos != 1)}")
+    if row.seen_share is not None:
+        facts.append(f"{percent(row.seen_share)} of the surface seen")
+    if row.total_s is not None:
+        facts.append(in_words(row.total_s))
+    links = [
+        f'<a href="{quote(path)}">{word}</a>'
+        for path, word in (
+            (row.report, "report"),
+            (row.model, "model"),
+            (row.cameras, "cameras"),
+            (f"{row.name}/{LOG}" if row.has_log else "", "log"),
+        )
+        if path
+    ]
+    badge = _words(key)
+    if row.status == "mended" and row.verdict:
+        badge = f"{badge}, mended"
+    warnings = [w for w in row.warnings if w != row.sentence]
+    told = "".join(f"<li>{html.escape(text)}</li>" for text in (*warnings, *row.notes))
+    return (
+        f'<article class="{_css(key)}" data-key="{key}" data-rank="{rank}" '
+        f'data-name="{html.escape(row.name)}" '
+        f'data-error="{"" if error is None else f"{error:.6g}"}" '
+        f'data-time="{"" if row.total_s is None else f"{row.total_s:.3f}"}">'
+        f'<div class="pictures">{_pictures(row)}</div>'
+        f'<div class="told"><h2>{html.escape(row.name)}</h2>'
+        f'<p class="badge"><i></i>{badge}</p>'
+        f'<p class="sentence">{html.escape(row.sentence)}</p>'
+        + (f'<ul class="warnings">{told}</ul>' if told else "")
+        + f'<p class="facts">{" · ".join(facts)}</p>'
+        f'<p class="links">{" ".join(links)}</p>'
+        f"{_command(out, row)}</div></article>"
+    )
+
+
+def _pictures(row: SummaryRow) -> str:
+    if not row.has_thumbnails:
+        return '<div class="none">no pictures</div>'
+    return "".join(
+        f'<figure><img loading="lazy" src="{quote(f"{row.name}/{file}")}" '
+        f'alt="overlay {word}"><figcaption>{word}</figcaption></figure>'
+        for file, word in ((BEFORE, "before"), (AFTER, "after"))
+    )
+
+
+def _command(out: Path, row: SummaryRow) -> str:
+    if not row.can_be_opened:
+        return ""
+    command = shlex.join(["photoreg", "app", str(out / row.name)])
+    return (
+        f'<div class="command"><code>{html.escape(command)}</code>'
+        f'<button type="button" data-copy="{html.escape(command)}">Copy</button></div>'
+    )

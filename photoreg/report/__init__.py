@@ -1,0 +1,1 @@
+"""What a refinement did, as pages of HTML that need no server."""
