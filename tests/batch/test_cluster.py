@@ -216,3 +216,105 @@ def test_a_scheduler_that_is_not_there_is_a_sentence(tmp_path):
         connected("tcp://127.0.0.1:1", 1, 1),
     ):
         pass
+
+
+class Hosts:
+    """Two network namespaces as two hosts, with a cable between them: needs root."""
+
+    NAMES = ("photoreg-one", "photoreg-two")
+    ADDRESSES = ("10.77.0.1", "10.77.0.2")
+
+    def __init__(self) -> None:
+        self.remove()
+        one, two = self.NAMES
+        for name in self.NAMES:
+            self._ip("netns", "add", name)
+        self._ip(
+            "link", "add", "pr-one", "netns", one, "type", "veth",
+            "peer", "name", "pr-two", "netns", two,
+        )  # fmt: skip
+        for name, device, address in zip(
+            self.NAMES, ("pr-one", "pr-two"), self.ADDRESSES, strict=True
+        ):
+            self._ip("-n", name, "addr", "add", f"{address}/24", "dev", device)
+            self._ip("-n", name, "link", "set", device, "up")
+            self._ip("-n", name, "link", "set", "lo", "up")
+
+    def _ip(self, *words: str) -> None:
+        subprocess.run(["ip", *words], check=True)
+
+    def cut(self) -> None:
+        """Pulls the cable."""
+        self._ip("-n", self.NAMES[1], "link", "set", "pr-two", "down")
+
+    def inside(self, host: int) -> list[str]:
+        """What a command begins with to run on a host."""
+        return ["ip", "netns", "exec", self.NAMES[host]]
+
+    def remove(self) -> None:
+        for name in self.NAMES:
+            subprocess.run(
+                ["ip", "netns", "del", name], check=False, stderr=subprocess.DEVNULL
+            )
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    not hasattr(os, "geteuid") or os.geteuid() != 0, reason="two hosts need root"
+)
+def test_of_two_hosts_one_is_cut_off_and_the_batch_finishes(tmp_path):
+    collection, out = make_collection(tmp_path / "things", 12), tmp_path / "out"
+    hosts, programs = Hosts(), []
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(sys.path),
+        # A host that says nothing is given up after so long; five minutes by itself.
+        "DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL": "20s",
+        "DASK_DISTRIBUTED__COMM__TIMEOUTS__TCP": "15s",
+    }
+
+    def start(host: int, program: str, *words: str) -> None:
+        command = [sys.executable, "-m", f"distributed.cli.dask_{program}", *words]
+        programs.append(
+            subprocess.Popen(
+                [*hosts.inside(host), *command],
+                cwd=tmp_path,
+                env=environment,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+        )
+
+    try:
+        one, two = Hosts.ADDRESSES
+        start(0, "scheduler", "--host", one, "--port", "8786")
+        for host, address in enumerate((one, two)):
+            start(
+                host, "worker", f"tcp://{one}:8786", "--host", address, "--nthreads", "1",
+                "--local-directory", str(tmp_path / f"dask{host}"),
+            )  # fmt: skip
+        words = [
+            *QUICK,
+            "--model",
+            "none",
+            "--scheduler",
+            f"tcp://{one}:8786",
+            "--ship",
+        ]
+        with subprocess.Popen(
+            [*hosts.inside(0), *command_of(collection, out, *words)],
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment,
+        ) as program:
+            wait_until(lambda: len(records(out)) >= 3, "three objects", 600.0)
+            hosts.cut()
+            _, said = program.communicate(timeout=900)
+    finally:
+        for each in programs:
+            each.kill()
+            each.wait()
+        hosts.remove()
+    assert program.returncode == 0, said
+    assert {row["status"] for row in summary(out).values()} == {"done"}
+    assert "12 done now in" in said
