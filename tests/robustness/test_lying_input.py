@@ -164,7 +164,7 @@ def test_large_files_are_read_in_bounded_memory(
     make(tmp_path / name)
     code = (
         "import sys; from pathlib import Path; "
-        "from photoreg.limits import Limits; from tests import lying_input; "
+        "from photoreg.limits import Limits; from tests.robustness import lying_input; "
         "from tests.robustness.memory import peak_memory_gb; "
         "lying_input.LIMITS = Limits(); "
         "print(lying_input.described(lying_input.read_path(Path(sys.argv[1])))); "
