@@ -111,6 +111,38 @@ def test_a_detail_of_a_large_site_is_refined_as_by_itself():
     assert last.verdict.grade == "convincing"
 
 
+def end_elsewhere(scale: float, origin: np.ndarray) -> list[Camera]:
+    """The small scene's end where it is enlarged and moved, put back."""
+    scene, config = small_scene(), RegistrationConfig.preset("fast")
+    rough = [
+        dataclasses.replace(
+            c, t_cam_world=scale * c.t_cam_world - c.R_cam_world @ origin
+        )
+        for c in scene.rough_cameras
+    ]
+    mesh = Mesh(scale * scene.mesh.vertices + origin, scene.mesh.faces)
+    *_, last = refine(mesh, scene.photos, rough, config)
+    return [
+        dataclasses.replace(
+            c, t_cam_world=(c.t_cam_world + c.R_cam_world @ origin) / scale
+        )
+        for c in last.cameras
+    ]
+
+
+@pytest.mark.slow
+def test_units_and_a_national_grid_leave_the_whole_answer_as_it_is():
+    at_origin = end_elsewhere(1.0, np.zeros(3))
+    for scale, origin in (
+        (1.0, np.array([512345.25, 5401234.5, 120.0])),
+        (1e6, np.zeros(3)),
+        (1e-6, np.zeros(3)),
+    ):
+        other = end_elsewhere(scale, origin)
+        error = projection_error(small_scene().mesh, at_origin, other)
+        assert error.max < 1e-3, (scale, error.max)
+
+
 def test_a_search_that_misleads_is_not_followed():
     scene = small_scene()
     config = RegistrationConfig.preset("default")
