@@ -5,6 +5,7 @@ is to stop iterating.
 """
 
 import collections
+import concurrent.futures
 import contextlib
 import dataclasses
 import os
@@ -21,6 +22,7 @@ from photoreg.batch.collection import CollectionObject, Inputs, state_of
 from photoreg.batch.mended import keep_cameras, mended_result, project_folder
 from photoreg.batch.record import (
     ObjectRecord,
+    is_known,
     load_record,
     save_record,
     still_holds,
@@ -198,21 +200,32 @@ class _Batch:
     def run(self) -> Iterator[BatchProgress | BatchFinished]:
         self._began = self._written_at = time.monotonic()
         to_do = self._to_do()
-        # Where nothing is left to do, no cluster is needed.
-        first = next(to_do, None)
         try:
-            if first is not None:
-                self._again.append(first)
-                with connected(
+            with contextlib.ExitStack() as end:
+                pool = end.enter_context(concurrent.futures.ThreadPoolExecutor(1))
+                cluster = connected(
                     self._config.scheduler, self._n_workers, self._threads
-                ) as client:
-                    yield from self._work(client, to_do)
+                )
+                starting = None
+                if self._has_new():
+                    # Its processes import the engine while it is looked at what is done.
+                    starting = pool.submit(end.enter_context, cluster)
+                first = next(to_do, None)
+                # Where nothing is left to do, no cluster is needed.
+                if first is not None:
+                    self._again.append(first)
+                    starting = starting or pool.submit(end.enter_context, cluster)
+                    yield from self._work(starting.result(), to_do)
         finally:
             written = write_summary(self._out, self._shown_rows())
         rows = tuple(self._shown_rows())
         yield BatchFinished(
             rows=rows, progress=self._progress(), summary=written[0], page=written[1]
         )
+
+    def _has_new(self) -> bool:
+        """Whether there is an object of which nothing is known at all."""
+        return any(not is_known(self._out / thing.name) for thing in self._collection)
 
     def _to_do(self) -> Iterator[_Attempts]:
         """Objects that are not done; the others' rows are made on the way."""

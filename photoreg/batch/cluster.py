@@ -72,16 +72,19 @@ def connected(scheduler: str | None, n_workers: int, threads: int) -> Iterator[A
             )
         )
         cluster = distributed.LocalCluster(
-            n_workers=n_workers,
+            n_workers=0,
             threads_per_worker=1,
             processes=True,
             host=LOOPBACK,
             dashboard_address=f"{LOOPBACK}:0" if has_dashboard() else None,
             silence_logs=logging.CRITICAL,
             env={name: str(threads) for name in ONE_THREAD_EACH},
+            memory_limit=1.0 / n_workers,
             preload=["photoreg.batch.worker"],
         )
         end.enter_context(cluster)
+        # Nobody waits for the last of them.
+        cluster.scale(n_workers)
         yield end.enter_context(distributed.Client(cluster, set_as_default=False))
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -56,6 +57,11 @@ class ObjectRecord:
             tuple(base / photo for photo in self.photos),
             base / self.cameras,
         )
+
+
+def is_known(folder: Path) -> bool:
+    """Whether a record is kept in an object's folder."""
+    return os.path.lexists(folder / RECORD)
 
 
 def load_record(folder: Path) -> ObjectRecord | None:

@@ -96,22 +96,21 @@ def test_ctrl_c_ends_all_processes_and_the_same_command_goes_on(tmp_path):
 
 
 @pytest.mark.slow
-def test_an_object_that_hangs_costs_its_attempts_only(tmp_path):
-    folder = make_collection(tmp_path / "things", 2)
-    rows = ["object,mesh,photos,cameras,preset"]
-    for name, preset in (("object 0000", ""), ("object 0001", "paper")):
-        rows.append(f"{name},{name}/rock.ply,{name},{name}/rough.json,{preset}")
-    (folder / "things.csv").write_text("\n".join(rows) + "\n")
-    # The paper's own search takes longer than this.
-    out = tmp_path / "out"
-    ended = batch(folder / "things.csv", out, "--limit-min", "0.05")
+def test_an_attempt_that_is_over_the_limit_is_lost_and_not_the_object_s_failure(
+    tmp_path,
+):
+    collection, out = make_collection(tmp_path / "things", 1), tmp_path / "out"
+    # No attempt is that quick, so each ends its worker's process.
+    ended = batch(collection, out, "--limit-min", "0.0001")
     assert ended.returncode == 1
-    rows = summary(out)
-    assert rows["object 0000"]["status"] == "done"
-    assert rows["object 0001"]["status"] == "lost"
-    assert "--limit-min" in rows["object 0001"]["sentence"]
-    # It was not the object's failure: the next batch tries it again.
-    assert records(out) == [out / "object 0000" / "object.json"]
+    (row,) = summary(out).values()
+    assert row["status"] == "lost"
+    assert "--limit-min" in row["sentence"]
+    assert not records(out)
+    assert not [path for path in out.iterdir() if path.name.startswith(".photoreg")]
+    ended = batch(collection, out)
+    assert ended.returncode == 0, ended.stderr
+    assert "1 done now in" in ended.stderr
 
 
 N_KILLED = int(os.environ.get("PHOTOREG_KILL_OBJECTS", "30"))
