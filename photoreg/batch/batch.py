@@ -10,7 +10,6 @@ import contextlib
 import dataclasses
 import os
 import queue
-import shutil
 import time
 import warnings
 from collections.abc import Generator, Iterator, Sequence
@@ -35,6 +34,7 @@ from photoreg.batch.run import (
     place_failure,
     place_shipped,
     run_task,
+    sweep,
 )
 from photoreg.batch.settings import fingerprint
 from photoreg.batch.summary import SummaryRow, row_of, write_summary
@@ -153,18 +153,11 @@ def run_batch(
             "its end, or name another folder."
         )
     try:
-        _sweep(out, SCRATCH)
+        sweep(out)
         yield from _Batch(collection, out, config).run()
     finally:
-        _sweep(out, SCRATCH)
+        sweep(out)
         lock.release()
-
-
-def _sweep(out: Path, beginning: str) -> None:
-    """Removes what attempts left that were cut short."""
-    for entry in os.scandir(out):
-        if entry.name.startswith(beginning) and entry.is_dir(follow_symlinks=False):
-            shutil.rmtree(entry.path, ignore_errors=True)
 
 
 @dataclasses.dataclass
@@ -411,7 +404,7 @@ class _Batch:
                     trace = read_regular(Path(entry.path) / "hang.txt").decode()
                     if trace:
                         told = f"It was ended after --limit-min.\n{trace}"
-        _sweep(self._out, beginning)
+        sweep(self._out, beginning)
         return told
 
     def _fail(self, attempts: _Attempts, outcome: Outcome) -> None:

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import faulthandler
 import os
+import re
 import secrets
 import shutil
 import socket
@@ -57,6 +58,9 @@ THUMBNAIL_PX = 480
 
 SCRATCH = ".photoreg-"
 """Folders in which results lie until they are whole begin so."""
+
+_SCRATCH_NAME = re.compile(re.escape(SCRATCH) + r"\d+-\d+-.+-\d+-[0-9a-f]{6}")
+"""The whole of their names: object, attempt, host, process, and what makes it the only one."""
 
 MAX_THREADS: int = numba.get_num_threads()
 """Of numba, in this process."""
@@ -157,6 +161,15 @@ def _run_shipped(
         figures=record.figures,
         results={name: read_regular(path) for name, path in files.items()},
     )
+
+
+def sweep(out: Path, beginning: str = SCRATCH) -> None:
+    """Removes what attempts left that were cut short; folders of other names stay."""
+    for entry in os.scandir(out):
+        is_scratch = _SCRATCH_NAME.fullmatch(entry.name) is not None
+        is_scratch &= entry.name.startswith(beginning)
+        if is_scratch and entry.is_dir(follow_symlinks=False):
+            shutil.rmtree(entry.path, ignore_errors=True)
 
 
 @contextlib.contextmanager

@@ -15,7 +15,7 @@ from photoreg.batch.batch import BatchFinished, run_batch
 from photoreg.batch.collection import CollectionObject, read_collection
 from photoreg.batch.mended import MENDED, mended_result
 from photoreg.batch.record import load_record, still_holds
-from photoreg.batch.run import ObjectTask, run_task
+from photoreg.batch.run import ObjectTask, run_task, sweep
 from photoreg.batch.settings import ObjectSettings
 from photoreg.errors import InputError
 from photoreg.formats.cameras.cameras_json import load_cameras
@@ -202,3 +202,24 @@ def test_an_object_s_folder_says_where_its_files_have_gone(done):
     thing.inputs().mesh.rename(thing.base / "elsewhere")
     with pytest.raises(InputError, match="is not there any more"):
         opened(out / thing.name)
+
+
+def test_only_what_attempts_left_is_swept(tmp_path):
+    kept = tmp_path / "kept"
+    for path in (kept, tmp_path / ".photoreg-notes", tmp_path / ".photoreg-3-1"):
+        path.mkdir()
+        (path / "thesis.txt").touch()
+    (tmp_path / ".photoreg-5-1-host-9-aaaaaa").symlink_to(kept)
+    for name in (".photoreg-3-1-host-77-0a1b2c", ".photoreg-4-2-a-b-78-ffffff"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "model.glb").touch()
+    sweep(tmp_path, ".photoreg-3-1-")
+    assert (tmp_path / ".photoreg-4-2-a-b-78-ffffff").is_dir()
+    sweep(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        ".photoreg-3-1",
+        ".photoreg-5-1-host-9-aaaaaa",
+        ".photoreg-notes",
+        "kept",
+    ]
+    assert len(list(tmp_path.rglob("thesis.txt"))) == 3
