@@ -37,7 +37,7 @@ def connected(scheduler: str | None, n_workers: int, threads: int) -> Iterator[A
         InputError: if Dask is not installed, or there is no scheduler at the address.
     """
     try:
-        import dask  # noqa: PLC0415 - an extra, and it takes a second.
+        import dask.config  # noqa: PLC0415 - an extra, and it takes a second.
         import distributed  # noqa: PLC0415
     except ModuleNotFoundError as error:
         raise InputError(
@@ -76,7 +76,8 @@ def connected(scheduler: str | None, n_workers: int, threads: int) -> Iterator[A
             threads_per_worker=1,
             processes=True,
             host=LOOPBACK,
-            dashboard_address=f"{LOOPBACK}:0" if has_dashboard() else None,
+            # None, for no dashboard, is right, though its type does not say so.
+            dashboard_address=f"{LOOPBACK}:0" if has_dashboard() else None,  # pyright: ignore[reportArgumentType]
             silence_logs=logging.CRITICAL,
             env={name: str(threads) for name in ONE_THREAD_EACH},
             memory_limit=1.0 / n_workers,
