@@ -16,7 +16,7 @@ from collections.abc import Generator, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from photoreg.batch.cluster import connected, cores, dashboard_link
+from photoreg.batch.cluster import add_workers, connected, cores, dashboard_link
 from photoreg.batch.collection import CollectionObject, Inputs, state_of
 from photoreg.batch.mended import keep_cameras, mended_result, project_folder
 from photoreg.batch.record import (
@@ -53,6 +53,9 @@ attempts is cut short by chance, ten in a row are one object in ten million."""
 
 WAITING = 200
 """Objects at the scheduler at most, beside those at work: it need not hold ten thousand."""
+
+REPLACE_S = 60.0
+"""A worker that was not back for so long is replaced; starting one takes 3 to 10 s."""
 
 POLL_S = 0.5
 SUMMARY_PERIOD_S = 60.0
@@ -263,10 +266,12 @@ class _Batch:
 
     def _work(self, client: Any, to_do: Iterator[_Attempts]) -> Iterator[BatchProgress]:
         self._dashboard = dashboard_link(client)
+        self._whole_at = time.monotonic()
         left = True
         try:
             while left or self._running or self._again:
                 self._workers = len(client.scheduler_info(n_workers=-1)["workers"])
+                self._see_to_workers(client)
                 room = self._window() - len(self._running)
                 deadline = time.monotonic() + POLL_S
                 # Some at a time, so that what has ended meanwhile is seen.
@@ -295,6 +300,15 @@ class _Batch:
             if self._running:
                 with contextlib.suppress(Exception):
                     client.cancel(list(self._running), force=True)
+
+    def _see_to_workers(self, client: Any) -> None:
+        """Replaces workers of our own cluster that were lost for good."""
+        missing = self._n_workers - self._workers
+        if missing <= 0 or self._config.scheduler is not None:
+            self._whole_at = time.monotonic()
+        elif time.monotonic() > self._whole_at + REPLACE_S:
+            add_workers(client, missing)
+            self._whole_at = time.monotonic()
 
     def _window(self) -> int:
         """How many objects are at the scheduler: those whose files are sent are few."""

@@ -89,6 +89,16 @@ def connected(scheduler: str | None, n_workers: int, threads: int) -> Iterator[A
         yield end.enter_context(distributed.Client(cluster, set_as_default=False))
 
 
+def add_workers(client: Any, n: int) -> None:
+    """Starts more workers in a cluster of our own, for those that do not come back.
+
+    A worker that dies while it is being started is one that Dask forgets.
+    """
+    cluster = client.cluster
+    if cluster is not None:
+        cluster.scale(len(cluster.worker_spec) + n)
+
+
 def has_dashboard() -> bool:
     """Whether what draws Dask's dashboard is installed."""
     return importlib.util.find_spec("bokeh") is not None
