@@ -183,7 +183,9 @@ def dask_cluster(tmp_path) -> Iterator[str]:
         tmp_path, "worker", *common, "--nthreads", "1",
         "--local-directory", str(tmp_path / "dask"),
     )  # fmt: skip
-    wait_until(address.is_file, "the scheduler", 60.0)
+    wait_until(
+        lambda: address.is_file() and address.stat().st_size > 0, "the scheduler", 60.0
+    )
     yield json.loads(address.read_text())["address"]
     for program in (worker, scheduler):
         program.terminate()
