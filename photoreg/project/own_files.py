@@ -208,12 +208,10 @@ class OwnFiles:
         return found
 
     def _is_in_own_folder(self, relative: str) -> bool:
-        """Whether a path is as they are made here, and no link leads along it."""
+        """Whether the folder of a path was made here, and no link leads along it."""
         inside = PurePosixPath(relative)
-        return (
-            OWN_PATH.fullmatch(relative) is not None
-            and (relative == KEPT or self._made(str(inside.parent)))
-            and all(is_folder(look(self._folder / p)) for p in inside.parents)
+        return (relative == KEPT or self._made(str(inside.parent))) and all(
+            is_folder(look(self._folder / p)) for p in inside.parents
         )
 
     def _made(self, path: str) -> bool:
@@ -228,13 +226,14 @@ class OwnFiles:
         return size <= self._max_bytes and bool(has_content(path, size, sha256 or ""))
 
     def _rows(self) -> list[Row]:
+        """What is noted of paths as they are made here, the folder itself apart."""
         rows = self._connection.execute(
             "SELECT path, kind, sha256, size FROM own ORDER BY path DESC"
         ).fetchall()
         for row in rows:
             for value, hint in zip(row, _COLUMNS, strict=True):
                 check_value(value, hint, "a file that the project notes as its own")
-        return rows
+        return [row for row in rows if OWN_PATH.fullmatch(row[0])]
 
     def _note(self, *rows: Row) -> None:
         self._connection.executemany(

@@ -322,6 +322,27 @@ def test_saving_as_copies_what_is_the_projects_and_nothing_else(
     assert sorted(hashes(tmp_path / "copy")) == [DATABASE, LOCK], "they are its own"
 
 
+def test_a_database_from_elsewhere_cannot_have_other_files_copied(
+    tmp_path: Path,
+) -> None:
+    folder, copy = tmp_path / "work", tmp_path / "away" / "copy"
+    copy.parent.mkdir()
+    project = Project(folder)
+    project.keep_file("a.jpg", b"a")
+    project.close()
+    (tmp_path / "secret").write_bytes(b"mine")
+    own = hashlib.sha256(b"mine").hexdigest()
+    paths = ("../secret", str(tmp_path / "secret"), "\0files/a.jpg", "files/a\0.jpg")
+    with contextlib.closing(sqlite3.connect(folder / DATABASE)) as database, database:
+        database.executemany(
+            "INSERT INTO own VALUES (?, 'file', ?, 4)", [(path, own) for path in paths]
+        )
+    project = Project(folder, create=False)
+    project.save_as(copy)
+    project.close()
+    assert sorted(hashes(copy.parent)) == ["copy/files/a.jpg", f"copy/{DATABASE}"]
+
+
 # Links and what is no file under the project's own names.
 
 
