@@ -48,16 +48,7 @@ def samples_for(
     samples = sample_surface(mesh, n_samples, seed)
     if not _show_a_detail(mesh, cameras, samples):
         return samples
-    rng = np.random.default_rng(seed)
-    n_rays = -(-n_samples // len(cameras))
-    found = [_samples_of_photo(mesh, camera, n_rays, rng) for camera in cameras]
-    detail = SurfaceSamples(
-        *(
-            np.concatenate([getattr(one, field.name) for one in found])
-            for field in dataclasses.fields(SurfaceSamples)
-        )
-    )
-    return detail if len(detail) else samples
+    return _samples_of_detail(mesh, cameras, samples, seed)
 
 
 def middle_for(mesh: Mesh, cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
@@ -65,7 +56,7 @@ def middle_for(mesh: Mesh, cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
     samples = sample_surface(mesh, N_SAMPLES, 0)
     if not _show_a_detail(mesh, cameras, samples):
         return mesh.centroid
-    return samples_for(mesh, cameras, N_SAMPLES, 0).points.mean(axis=0)
+    return _samples_of_detail(mesh, cameras, samples, 0).points.mean(axis=0)
 
 
 def _show_a_detail(
@@ -78,6 +69,22 @@ def _show_a_detail(
         is_steep |= ~_faces(samples, camera, -STEEP_COSINE)
         seen |= is_steep & seen_points(mesh, camera, samples.points)
     return len(cameras) > 0 and bool(seen.mean() < LEAST_SEEN)
+
+
+def _samples_of_detail(
+    mesh: Mesh, cameras: Sequence[Camera], samples: SurfaceSamples, seed: int
+) -> SurfaceSamples:
+    """As many points over the cameras' photos; ``samples`` if these show background."""
+    rng = np.random.default_rng(seed)
+    n_rays = -(-len(samples) // len(cameras))
+    found = [_samples_of_photo(mesh, camera, n_rays, rng) for camera in cameras]
+    detail = SurfaceSamples(
+        *(
+            np.concatenate([getattr(one, field.name) for one in found])
+            for field in dataclasses.fields(SurfaceSamples)
+        )
+    )
+    return detail if len(detail) else samples
 
 
 def _samples_of_photo(
