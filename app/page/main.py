@@ -24,7 +24,8 @@ from app.model.session import Session
 from app.model.state import Document
 from app.page.server import Page
 from app.web.access import AccessControl
-from photoreg.batch.mended import is_object_folder, opened_files, project_folder
+from photoreg.batch.mended import opened_files, project_folder
+from photoreg.batch.record import is_known
 from photoreg.errors import InputError, OutputError
 from photoreg.formats.cameras.registry import read_cameras
 from photoreg.project.folder import FolderInUseError, check_is_free, holds_project
@@ -110,7 +111,7 @@ def open_project(
         InputError: if the project or a file cannot be used as it is.
         OutputError: if the named folder cannot be written.
     """
-    if len(files) == 1 and is_object_folder(files[0]):
+    if len(files) == 1 and is_known(files[0]):
         if folder is not None or cameras is not None:
             raise InputError(
                 f"{files[0]} is an object of a batch, which has its own cameras and its "

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from photoreg.batch.record import ObjectRecord, is_known, load_record
+from photoreg.batch.record import ObjectRecord, load_record
 from photoreg.batch.run import CAMERAS
 from photoreg.errors import InputError, PhotoregError
 from photoreg.formats.cameras.cameras_json import CameraFile, load_cameras, save_cameras
@@ -75,11 +75,6 @@ def opened_files(folder: Path) -> tuple[list[Path], Path]:
             )
     own = folder / CAMERAS
     return files, own if own.is_file() else inputs.cameras
-
-
-def is_object_folder(folder: Path) -> bool:
-    """Whether `photoreg batch` made a folder for an object."""
-    return is_known(folder)
 
 
 def _opened_with(folder: Path, record: ObjectRecord | None) -> Mapping[str, Camera]:

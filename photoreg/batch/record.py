@@ -95,7 +95,7 @@ def _one_of(value: Any, choices: tuple[Any, ...]) -> Any:
     return value
 
 
-def save_record(folder: Path, record: ObjectRecord, overwrite: bool = False) -> None:
+def save_record(folder: Path, record: ObjectRecord) -> None:
     """Writes it whole or not at all.
 
     Raises:
@@ -103,7 +103,7 @@ def save_record(folder: Path, record: ObjectRecord, overwrite: bool = False) -> 
     """
     document = {"format": FORMAT, "version": VERSION, **dataclasses.asdict(record)}
     text = json.dumps(document, indent=1, ensure_ascii=False)
-    write_files({folder / RECORD: text}, overwrite=overwrite)
+    write_files({folder / RECORD: text})
 
 
 def hashed(

@@ -26,7 +26,7 @@ SUMMARY, PAGE = "summary.csv", "index.html"
 
 Status = Literal["done", "mended", "failed", "lost", "refused", "not run"]
 
-STATUS_WORDS: dict[Status, str] = {
+STATUS_WORDS = {
     "failed": "failed",
     "refused": "refused",
     "lost": "attempts lost",
@@ -165,7 +165,7 @@ def write_summary(out: Path, rows: Sequence[SummaryRow]) -> tuple[Path, Path]:
         OutputError: if they cannot be written, or other files have their names.
     """
     table, page = out / SUMMARY, out / PAGE
-    write_files({table: csv_of(rows), page: page_of(out, rows)}, overwrite=False)
+    write_files({table: csv_of(rows), page: page_of(out, rows)})
     return table, page
 
 
@@ -235,7 +235,7 @@ def _css(key: str) -> str:
 
 
 def _words(key: str) -> str:
-    return next((w for status, w in STATUS_WORDS.items() if status == key), key)
+    return STATUS_WORDS.get(key, key)
 
 
 def _row_html(out: Path, row: SummaryRow, rank: int) -> str:

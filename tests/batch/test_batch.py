@@ -13,7 +13,6 @@ from photoreg.batch.record import load_record
 from photoreg.formats.cameras.cameras_json import load_cameras, save_cameras
 from tests.batch.collections import QUICK, QUICK_BATCH, make_collection, make_object
 
-pytest.importorskip("distributed")
 pytestmark = pytest.mark.cluster
 
 

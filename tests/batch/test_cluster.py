@@ -10,10 +10,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-
-pytest.importorskip("distributed")
 import psutil
+import pytest
 
 from photoreg.batch.cluster import connected
 from tests.batch.collections import QUICK, QUICK_BATCH, make_collection
