@@ -13,7 +13,7 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
@@ -577,24 +577,26 @@ def _load_scene(
     mesh: Path, photos: Sequence[Path], cameras: Path
 ) -> tuple[Mesh, list[Photo], CameraFile, list[Camera]]:
     scene = load_scene(mesh, photos, cameras)
-    for note in scene.notes:
-        _log.print(f"Note: {note}", markup=False)
+    _print_notes(scene.notes)
     return scene.mesh, list(scene.photos), scene.file, list(scene.cameras)
 
 
 def _told(file: CameraFile) -> CameraFile:
     """Cameras whose notes were printed."""
-    for note in file.notes:
-        _log.print(f"Note: {note}", markup=False)
+    _print_notes(file.notes)
     return file
 
 
 def _surface(path: Path) -> Mesh:
     """The mesh of a file; prints a note for each thing that was left out."""
     surface = load_mesh(path)
-    for note in surface.notes:
-        _log.print(f"Note: {surface.name}: {note}", markup=False)
+    _print_notes(f"{surface.name}: {note}" for note in surface.notes)
     return surface
+
+
+def _print_notes(notes: Iterable[str]) -> None:
+    for note in notes:
+        _log.print(f"Note: {note}", markup=False)
 
 
 def _watch(
