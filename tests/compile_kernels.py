@@ -15,7 +15,7 @@ from photoreg.registration.refinement import refine
 from photoreg.synthetic.options import SceneOptions
 from photoreg.synthetic.scene import make_scene
 from photoreg.texture.bake import bake_texture
-from photoreg.texture.blend import TextureConfig
+from photoreg.texture.config import TextureConfig
 
 
 def _polish() -> None:

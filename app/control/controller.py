@@ -13,6 +13,7 @@ from app.control.projects import Projects
 from app.control.resection_solver import ResectionSolver
 from app.control.run_control import RunControl, must_be_idle
 from app.engine.client import Worker
+from app.engine.scene_opening import demo_folder, open_folder
 from app.model import reducers
 from app.model import session as rules
 from app.model.failures import UNFORESEEN, log_failure
@@ -45,7 +46,6 @@ from app.model.messages import (
     Working,
 )
 from app.model.pictures import Compared, Picture
-from app.model.scene_files import demo_folder, open_folder
 from app.model.session import Session
 from app.model.state import Document, Job, Notice, State
 from app.model.wanted_pictures import (

@@ -10,9 +10,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from app.engine.read_job import Reader, ReadRequest, UnpackRequest
-from app.model import reducers
-from app.model.file_kinds import (
+from app.engine.file_kinds import (
     CAMERAS,
     KINDS,
     MATERIAL,
@@ -22,6 +20,8 @@ from app.model.file_kinds import (
     is_zip,
     kind_of,
 )
+from app.engine.read_job import Reader, ReadRequest, UnpackRequest
+from app.model import reducers
 from app.model.messages import (
     CamerasLoaded,
     Failed,

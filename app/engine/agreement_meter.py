@@ -12,7 +12,8 @@ from photoreg.geometry.sampling import sample_surface
 from photoreg.geometry.visibility import visible
 from photoreg.geometry.winding import facing_cameras
 from photoreg.imaging.photo import Photo
-from photoreg.search.photo_consistency import ConsistencyConfig, PhotoConsistency
+from photoreg.search.config import ConsistencyConfig
+from photoreg.search.photo_consistency import PhotoConsistency
 
 N_POINTS = 2_000
 """Points over the whole surface: some 2 ms on one core with two photos."""

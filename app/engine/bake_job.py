@@ -17,7 +17,7 @@ from photoreg.imaging.encoding import encode_jpeg
 from photoreg.imaging.photo import Photo
 from photoreg.texture.atlas import Atlas, make_atlas
 from photoreg.texture.bake import BakingStep, TexturedMesh, baking
-from photoreg.texture.blend import TextureConfig
+from photoreg.texture.config import TextureConfig
 from photoreg.words import percent
 
 PREVIEW_SIDE_PX = 4096

@@ -46,7 +46,7 @@ from photoreg.errors import PhotoregError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.imaging.photo import Photo
-from photoreg.registration.readiness import check_readiness
+from photoreg.registration.check_readiness import check_readiness
 from photoreg.search.box_reach import box_reach
 
 REST_S = 0.25

@@ -14,8 +14,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
-from app.engine.spawn import PATIENCE_S, spawned
-from app.model.file_kinds import (
+from app.engine.file_kinds import (
     CAMERAS,
     MATERIAL,
     MESH,
@@ -24,6 +23,7 @@ from app.model.file_kinds import (
     is_zip,
     kind_of,
 )
+from app.engine.spawn import PATIENCE_S, spawned
 from app.model.messages import (
     CamerasLoaded,
     Failed,

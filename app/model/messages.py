@@ -13,11 +13,11 @@ from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.imaging.photo import Photo
 from photoreg.parameters.freedom import Freedom
+from photoreg.parameters.gene_box import BoxReach
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.readiness import Readiness
 from photoreg.report.cost_curve import CurvePoint
-from photoreg.search.box_reach import BoxReach
-from photoreg.texture.blend import TextureConfig
+from photoreg.texture.config import TextureConfig
 
 SPARE_TIME = "SpareTime"
 """What ``Failed`` calls what the worker does while nothing is asked of it."""

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from photoreg.geometry.camera import Camera
-from photoreg.report.comparison import PhotoComparison
+from photoreg.report.photo_comparison import PhotoComparison
 
 OverlayStyle = Literal["blend", "checkerboard", "difference", "edges", "blink", "swipe"]
 """How two photos are laid over each other."""

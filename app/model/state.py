@@ -21,18 +21,18 @@ from app.model.pictures import (
     ThroughStyle,
 )
 from app.model.run import KeptSearch, Run
-from photoreg.formats.cameras.registry import FormatName
+from photoreg.formats.cameras.camera_set import FormatName
 from photoreg.formats.models.encode_texture import PictureKind
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.imaging.photo import Photo
 from photoreg.parameters.freedom import Freedom
+from photoreg.parameters.gene_box import BoxReach
 from photoreg.project.files import FileProblem
 from photoreg.registration.config import PresetName, RegistrationConfig
 from photoreg.registration.readiness import Readiness
 from photoreg.registration.verdict import Grade
-from photoreg.search.box_reach import BoxReach
-from photoreg.texture.blend import TextureConfig
+from photoreg.texture.config import TextureConfig
 
 SAME_CAMERA_TOLERANCE = 1e-10
 """Relative difference under which two cameras count as the same. Poses pass through

@@ -13,13 +13,12 @@ from pathlib import Path
 
 from app.control.controller import Controller
 from app.control.projects import Projects
-from app.model.scene_files import (
+from app.engine.scene_opening import (
     demo_folder,
     open_files,
     open_folder,
-    photo_files,
-    with_cameras_of_file,
 )
+from app.model.scene_files import photo_files, with_cameras_of_file
 from app.model.session import Session
 from app.model.state import Document
 from app.page.server import Page

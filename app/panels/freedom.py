@@ -9,8 +9,8 @@ from app.model.session import Session, setting
 from app.model.state import HeldPart, State
 from app.web.controls import guarded, put, put_value
 from photoreg.geometry.lens import Distortion
+from photoreg.parameters.gene_box import BoxReach
 from photoreg.registration.config import RegistrationConfig
-from photoreg.search.box_reach import BoxReach
 
 PARTS: dict[HeldPart, tuple[str, str]] = {
     # Longer names would wrap.

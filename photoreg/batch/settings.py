@@ -8,7 +8,7 @@ from typing import Literal
 
 from photoreg.formats.models.encode_texture import PictureKind
 from photoreg.registration.config import RegistrationConfig
-from photoreg.texture.blend import TextureConfig
+from photoreg.texture.config import TextureConfig
 
 ModelKind = Literal["glb", "obj", "ply", "none"]
 

@@ -18,7 +18,7 @@ from photoreg.cli.stopping import asked_to_stop
 from photoreg.errors import OutputError
 from photoreg.formats.models.encode_texture import PictureKind
 from photoreg.registration.config import PresetName, RegistrationConfig
-from photoreg.texture.blend import TextureConfig
+from photoreg.texture.config import TextureConfig
 from photoreg.words import in_words
 
 _log = rich.console.Console(stderr=True, highlight=False, soft_wrap=True)

@@ -57,7 +57,7 @@ from photoreg.registration.world import (
 from photoreg.synthetic.options import SceneOptions
 from photoreg.synthetic.scene import make_scene, write_scene
 from photoreg.texture.bake import BakingStep, TexturedMesh, baking
-from photoreg.texture.blend import TextureConfig
+from photoreg.texture.config import TextureConfig
 from photoreg.words import listed, nfc, percent
 
 MeshPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MESH")]

@@ -10,10 +10,9 @@ import rich.console
 import tyro
 
 from photoreg.errors import InputError
-from photoreg.formats.cameras.camera_set import CameraSet
+from photoreg.formats.cameras.camera_set import CameraSet, FormatName
 from photoreg.formats.cameras.registry import (
     CAMERA_FORMATS,
-    FormatName,
     camera_format,
     format_to_read,
     format_to_write,

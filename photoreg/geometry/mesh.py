@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import scipy.sparse
@@ -15,6 +15,10 @@ from photoreg.checks import check_points
 from photoreg.errors import InputError
 from photoreg.geometry import decimation
 from photoreg.sources import SourceFile
+
+VisibilityMethod = Literal["normals", "rays", "depth"]
+"""How points that the surface hides are found: by its normals alone, by rays, by a depth
+buffer."""
 
 _HASH_FACTORS = np.array(
     [0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64

@@ -2,18 +2,15 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from photoreg.geometry.camera import Camera
-from photoreg.geometry.mesh import TOLERANCE, Mesh
+from photoreg.geometry.mesh import TOLERANCE, Mesh, VisibilityMethod
 from photoreg.geometry.rasteriser import render_geometry
 from photoreg.geometry.ray_hits import surface_hits
 from photoreg.geometry.sampling import SurfaceSamples, sample_surface
-
-VisibilityMethod = Literal["normals", "rays", "depth"]
 
 DEPTH_WIDTH_PX = 1024
 """Width of the depth buffer: about as many pixels as a photo of the search has."""

@@ -13,11 +13,8 @@ from jaxtyping import Float
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.visibility import samples_for, visible
-from photoreg.imaging.photo import Photo
+from photoreg.imaging.photo import Pair, Photo
 from photoreg.words import listed
-
-Pair = tuple[int, int]
-"""Two photos by index, the smaller one first."""
 
 ALL_UP_TO = 4
 """Up to so many photos are compared all with all."""

@@ -13,6 +13,9 @@ from photoreg.geometry.camera import reduced_size
 from photoreg.sources import SourceFile
 from photoreg.words import nfc
 
+Pair = tuple[int, int]
+"""Two photos by index, the smaller one first."""
+
 MIN_SIDE_PX = 16
 MAX_KEPT, MAX_KEPT_PIXELS = 4, 1 << 20
 """Reductions that a photo keeps, and the pixels of the largest: 12 MB at most, beside

@@ -11,8 +11,10 @@ from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.projection_error import projection_error
-from photoreg.parameters.genes import GeneBox, GeneMap
-from photoreg.polish.polish_cameras import PolishConfig, polish_cameras
+from photoreg.parameters.gene_box import GeneBox
+from photoreg.parameters.genes import GeneMap
+from photoreg.polish.config import PolishConfig
+from photoreg.polish.polish_cameras import polish_cameras
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.events import Finished, Progress
 from photoreg.registration.refinement import refine

@@ -10,7 +10,7 @@ from photoreg.imaging.encoding import encode_jpeg
 from photoreg.paper.experiment import Method, MethodRun, count, methods, runs
 from photoreg.paper.report import Setup, report_files, write_report
 from photoreg.paper.report_plots import check_plots
-from photoreg.polish.polish_cameras import PolishConfig
+from photoreg.polish.config import PolishConfig
 from photoreg.registration.config import RegistrationConfig
 from photoreg.synthetic.options import SceneOptions
 from photoreg.synthetic.scene import Scene, make_scene

@@ -17,11 +17,12 @@ from jaxtyping import Float
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.surface_view import surface_views
-from photoreg.imaging.pairs import Pair, points_of_pair, weight_of_pair
-from photoreg.imaging.photo import Photo
+from photoreg.imaging.pairs import points_of_pair, weight_of_pair
+from photoreg.imaging.photo import Pair, Photo
 from photoreg.parameters.increments import Increments
 from photoreg.polish.correspondence_term import CorrespondenceTerm
 from photoreg.polish.correspondences import Correspondences, find_correspondences
+from photoreg.polish.disagreement import MeshError
 from photoreg.polish.levenberg_marquardt import (
     Damping,
     Iterate,
@@ -40,28 +41,6 @@ MIN_CORRESPONDENCES = 200
 """Fewer, over both ways, say nothing of their own noise."""
 MAX_SIGMA_PX = 1.0
 """Matches that scatter by more all round are found by chance: those scatter by 2."""
-AGREEMENT_PX = 0.05
-"""An error of the mesh below this is told as none: matches are no better."""
-
-
-@dataclasses.dataclass(frozen=True)
-class MeshError:
-    """How far the mesh is from the surface that the photos show."""
-
-    sigma: float
-    """Standard deviation along its normal, in model units."""
-    sigma_px: float
-    """How far that moves a place along the epipolar line, in pixels."""
-
-    def in_words(self, diagonal: float) -> str:
-        """One sentence; ``diagonal`` is the mesh's, in model units."""
-        if self.sigma_px < AGREEMENT_PX:
-            return f"Scan and photos agree to less than {AGREEMENT_PX:g} px."
-        return (
-            f"Scan and photos disagree by about {self.sigma:.2g} of the scan's units along "
-            f"the surface's normal, {100.0 * self.sigma / diagonal:.2g} % of its diagonal, "
-            f"or {self.sigma_px:.2g} px in the photos."
-        )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

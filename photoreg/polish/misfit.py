@@ -17,8 +17,9 @@ from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.surface_descriptors import surface_descriptors
 from photoreg.geometry.surface_view import SurfaceView, surface_view, surface_views
 from photoreg.imaging.colour_model import object_regions
-from photoreg.imaging.pairs import Pair, choose_pairs, points_of_pair
-from photoreg.imaging.photo import Photo
+from photoreg.imaging.pairs import choose_pairs, points_of_pair
+from photoreg.imaging.photo import Pair, Photo
+from photoreg.polish.disagreement import Disagreement
 from photoreg.polish.grid_cells import within_cells
 from photoreg.polish.kernels import colours_at
 from photoreg.polish.lighting import fit_light
@@ -64,55 +65,6 @@ MIN_DISPLACEMENT_PX = 4.0 * RIM_REACH_PX
 ROUNDING = 1.0 / 12.0 / (4.0 * np.pi * BLUR_PX**2)
 """Variance of the rounding of bytes after the blur: colours whose contrast is no more
 than that cannot be seen to agree."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Disagreement:
-    """How badly cameras fit, colours and outlines apart: 0 is perfect, 1 chance."""
-
-    colours: dict[tuple[int, int], float]
-    """Of each pair of photos: the mean squared difference over the surface points that
-    both see, after gain and the slow changes of light, cut off at and relative to what
-    unrelated colours of the same contrast would give; 1 where nothing is shared."""
-    typical_colours: dict[tuple[int, int], float]
-    """The same of each pair's median cell: what covers less than half of the surface in
-    one photo is not in it."""
-    outlines: tuple[float, ...]
-    """Of each photo: the mean squared distance of the rim to the nearest clear edge,
-    cut off at and relative to ``RIM_REACH_PX``; 1 where there is no rim."""
-    typical_errors: dict[tuple[int, int], float] = dataclasses.field(
-        default_factory=dict
-    )
-    """Standard errors of the typical colours, as their cells differ."""
-
-    shadings: tuple[float, ...] = ()
-    """Where there is but one photo: the share of its detail that the shape of the surface
-    does not explain, 1 where it explains nothing. Empty where photos are compared."""
-
-    @property
-    def total(self) -> float:
-        """One number to compare by: geometric mean of colours' and outlines' means.
-
-        The noise of neither is known, and then the likelihood of cameras falls with
-        the logarithms of both. Their sum would not: an outline that is rough everywhere
-        hides colours that halve, and half a pixel with them. Of one photo, what the
-        shading leaves open counts twice as much as the outline: it is no noise.
-        """
-        if self.shadings:
-            shading, outline = (
-                float(np.mean(self.shadings)),
-                float(np.mean(self.outlines)),
-            )
-            return (2.0 * shading + outline) / 3.0
-        colour = float(np.mean(list(self.colours.values()))) if self.colours else 1.0
-        return float(np.sqrt(colour * np.mean(self.outlines)))
-
-    def typical_colour_of(self, photo: int) -> float:
-        """Typical colours of the pair of ``photo`` that agrees best; 1: no pair."""
-        return min(
-            (share for pair, share in self.typical_colours.items() if photo in pair),
-            default=1.0,
-        )
 
 
 def disagreement(

@@ -12,8 +12,7 @@ from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.projection import CAMERA
 from photoreg.geometry.surface_view import SurfaceView, camera_rays
 from photoreg.imaging.exposure import MAX_GAIN
-from photoreg.imaging.pairs import Pair
-from photoreg.imaging.photo import Photo
+from photoreg.imaging.photo import Pair, Photo
 from photoreg.parameters.increments import Increments, numbers_of
 from photoreg.polish.grid_cells import (
     cell_keys,

@@ -8,12 +8,16 @@ import tyro
 
 from photoreg.errors import InputError
 from photoreg.geometry.lens import N_TERMS, Distortion
-from photoreg.geometry.visibility import VisibilityMethod
+from photoreg.geometry.mesh import VisibilityMethod
 from photoreg.parameters.bounds import PriorScales
-from photoreg.parameters.genes import CameraModel, Coordinates, GeneBox
-from photoreg.polish.polish_cameras import PolishConfig
+from photoreg.parameters.gene_box import (
+    CameraModel,
+    Coordinates,
+    GeneBox,
+)
+from photoreg.polish.config import PolishConfig
+from photoreg.search.config import ConsistencyConfig
 from photoreg.search.genetic import GeneticConfig
-from photoreg.search.photo_consistency import ConsistencyConfig
 
 PresetName = Literal["default", "paper", "fast", "thorough"]
 

@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from photoreg.geometry.camera import Camera
-from photoreg.imaging.pairs import Pair
+from photoreg.imaging.photo import Pair
 from photoreg.parameters.genes import GeneMap
-from photoreg.polish.correspondence_stage import MeshError
+from photoreg.polish.disagreement import MeshError
 from photoreg.registration.checkpoint import Checkpoint
 from photoreg.registration.verdict import Verdict
 

@@ -14,8 +14,7 @@ from jaxtyping import Float
 from photoreg.errors import RefinementError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
-from photoreg.imaging.pairs import Pair
-from photoreg.imaging.photo import Photo
+from photoreg.imaging.photo import Pair, Photo
 from photoreg.parameters.freedom import Freedom, Held
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.genetic_search import GeneticSearch

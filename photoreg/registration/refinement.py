@@ -21,24 +21,23 @@ from photoreg.geometry.visibility import (
 from photoreg.geometry.winding import facing_cameras
 from photoreg.imaging.pairs import (
     ALL_UP_TO,
-    Pair,
     choose_pairs,
     hanging_in_words,
     pair_scores,
 )
-from photoreg.imaging.photo import MIN_SIDE_PX, Photo
+from photoreg.imaging.photo import MIN_SIDE_PX, Pair, Photo
 from photoreg.parameters.freedom import Freedom
 from photoreg.parameters.genes import GeneMap
-from photoreg.polish.correspondence_stage import MeshError
-from photoreg.polish.misfit import Disagreement, against_chance, disagreement
+from photoreg.polish.disagreement import Disagreement, MeshError
+from photoreg.polish.misfit import against_chance, disagreement
 from photoreg.polish.polish_cameras import PolishStep, is_no_worse, polish_cameras
 from photoreg.polish.uncertainty import Uncertainty, estimate_uncertainty
+from photoreg.registration.check_readiness import check_readiness
 from photoreg.registration.checkpoint import Checkpoint, problem_digest
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.events import Event, Finished, Phase, Population, Progress
 from photoreg.registration.genetic_search import GeneticSearch, search_genes
 from photoreg.registration.growing_search import GrowingSearch
-from photoreg.registration.readiness import check_readiness
 from photoreg.registration.verdict import (
     MISSED_LENS_PX,
     Verdict,

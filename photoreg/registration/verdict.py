@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from photoreg.polish.misfit import Disagreement
+from photoreg.polish.disagreement import Disagreement
 from photoreg.words import listed
 
 Grade = Literal["convincing", "plausible", "unconvincing"]

@@ -1,6 +1,5 @@
 """Two sets of cameras beside each other, in every photo."""
 
-import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,26 +8,10 @@ from photoreg.geometry.camera import Camera
 from photoreg.imaging.encoding import encode_jpeg
 from photoreg.overlay.disagreement_map import disagreement_picture, mean_disagreement
 from photoreg.overlay.pictures import AlignedPair, LiveOverlay, OverlayMode, compose
+from photoreg.report.photo_comparison import PhotoComparison
 
 PICTURE_SIDE_PX = 1024
 JPEG_QUALITY = 82
-
-
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class PhotoComparison:
-    """Before and after in one photo; all pictures are JPEG files."""
-
-    name: str
-    carried: str
-    """Name of the photo carried over into it."""
-    before: bytes
-    after: bytes
-    disagreement_before: bytes
-    """Empty, as the next, where there is no other photo."""
-    disagreement_after: bytes
-    levels_before: float | None
-    """Mean disagreement in grey levels of 255; None where nothing is shared."""
-    levels_after: float | None
 
 
 def draw_comparison(

@@ -4,7 +4,7 @@ import base64
 from html import escape
 
 from photoreg.overlay.disagreement_map import TOP_LEVELS
-from photoreg.report.comparison import PhotoComparison
+from photoreg.report.photo_comparison import PhotoComparison
 
 SWIPE_STYLE = """<style>
 .pr-swipe{position:relative;--x:50%;line-height:0;border-radius:6px;overflow:hidden}

@@ -12,9 +12,9 @@ from typing import Any
 from photoreg.formats.mark import COMMENT
 from photoreg.geometry.camera import Camera
 from photoreg.registration.config import RegistrationConfig
-from photoreg.report.comparison import PhotoComparison
 from photoreg.report.comparison_html import SWIPE_STYLE, comparison_html
 from photoreg.report.cost_curve import CurvePoint
+from photoreg.report.photo_comparison import PhotoComparison
 from photoreg.report.static_files import static_text
 from photoreg.words import number
 

@@ -1,6 +1,5 @@
 """What the intervals of a search mean in the photos: its reach in pixels."""
 
-import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,28 +10,17 @@ from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.visibility import middle_for, samples_for, seen_points
 from photoreg.parameters.freedom import Freedom
-from photoreg.parameters.genes import CameraModel, Coordinates, GeneBox, GeneMap
+from photoreg.parameters.gene_box import (
+    BoxReach,
+    CameraModel,
+    Coordinates,
+    GeneBox,
+)
+from photoreg.parameters.genes import GeneMap
 
 N_POINTS = 400
 N_DRAWS = 400
 """The highest twentieth of the moves, which is told, rests on 20 draws."""
-
-
-@dataclasses.dataclass(frozen=True)
-class BoxReach:
-    """How far a search may move the object in the photos.
-
-    Distances are means over the surface that a camera sees, and over the cameras, in
-    pixels of the photos: the paper's equation 5 against the start.
-    """
-
-    typical_px: float
-    """Median over cameras drawn evenly from the box: the box suits starts that are off
-    by less than this."""
-    farthest_px: float
-    """One draw in twenty goes further than this: a start so far off is hardly within."""
-    by_gene: tuple[tuple[str, float], ...]
-    """What each gene does by itself at the end of its interval: its name, pixels."""
 
 
 def box_reach(

@@ -17,18 +17,20 @@ from photoreg.texture import kernels
 from photoreg.texture.atlas import Atlas, make_atlas
 from photoreg.texture.blend import (
     EXPOSURE_TEXELS,
-    MAX_SIZE,
-    MIN_SIZE,
     TEXELS_AT_A_TIME,
     TexelSums,
     TexelTable,
-    TextureConfig,
     blend_photo,
     exposure_gains,
     fitted_photo,
     log_colours,
     outward_normals,
     seen_colours,
+)
+from photoreg.texture.config import (
+    MAX_SIZE,
+    MIN_SIZE,
+    TextureConfig,
 )
 from photoreg.texture.fill_unseen import spread
 from photoreg.texture.strangers import LEAST_PHOTOS, Stranger, find_strangers

@@ -20,7 +20,7 @@ from photoreg.batch.settings import ObjectSettings
 from photoreg.errors import InputError
 from photoreg.formats.cameras.cameras_json import load_cameras
 from photoreg.registration.config import RegistrationConfig
-from photoreg.texture.blend import TextureConfig
+from photoreg.texture.config import TextureConfig
 from tests.batch.collections import make_collection
 
 FAST = RegistrationConfig.preset("fast", seed=1)

@@ -17,8 +17,9 @@ import numpy as np
 from photoreg.geometry.sampling import sample_surface
 from photoreg.parameters.genes import GeneMap
 from photoreg.search import photo_consistency
+from photoreg.search.config import ConsistencyConfig
 from photoreg.search.kernels import population_costs
-from photoreg.search.photo_consistency import ConsistencyConfig, PhotoConsistency
+from photoreg.search.photo_consistency import PhotoConsistency
 from tests.bench.metrics import Metric, Setting, bench
 from tests.bench.worlds import world
 

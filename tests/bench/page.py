@@ -7,7 +7,7 @@ from typing import Any
 
 from playwright.sync_api import Browser, sync_playwright
 
-from app.model.scene_files import demo_folder, open_folder
+from app.engine.scene_opening import demo_folder, open_folder
 from app.model.session import Session
 from app.model.state import State
 from app.panels.nudges import BY_NAME, Stepper

@@ -17,10 +17,10 @@ from app.control.controller import Controller
 from app.engine.overlay_job import Drawing
 from app.engine.picture_stream import PictureStream
 from app.engine.refine_job import RefineJob
+from app.engine.scene_opening import demo_folder, open_folder
 from app.model.messages import Live, Refine
 from app.model.pictures import OverlayView
 from app.model.run import PRESET_NAMES
-from app.model.scene_files import demo_folder, open_folder
 from app.model.session import Session, setting
 from photoreg.registration.config import PresetName, RegistrationConfig
 from tests.bench.metrics import Metric, Setting, bench

@@ -22,7 +22,7 @@ from photoreg.imaging.photo import Photo
 from photoreg.synthetic.rock import rock_mesh
 from photoreg.texture.atlas import Atlas, make_atlas
 from photoreg.texture.bake import bake_texture, baking
-from photoreg.texture.blend import TextureConfig
+from photoreg.texture.config import TextureConfig
 from tests.bench.metrics import Metric, Setting, bench
 from tests.robustness.memory import peak_memory_gb
 

@@ -5,7 +5,7 @@ import dataclasses
 from app.model.reducers import has_moved
 from app.model.session import setting
 from app.model.state import Document, PhotoEntry
-from photoreg.polish.polish_cameras import PolishConfig
+from photoreg.polish.config import PolishConfig
 from photoreg.registration.config import RegistrationConfig
 from photoreg.synthetic.options import SceneOptions
 from photoreg.synthetic.scene import make_scene

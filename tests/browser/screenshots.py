@@ -14,7 +14,7 @@ from playwright.sync_api import sync_playwright
 
 from app.control.controller import Controller
 from app.control.projects import Projects
-from app.model.scene_files import demo_folder, open_folder
+from app.engine.scene_opening import demo_folder, open_folder
 from app.model.session import Session, setting
 from app.page.server import Page
 from tests.browser.driver import FINE, PANELS_WITHOUT_GL, Driver, launch, wait_until

@@ -9,7 +9,7 @@ import zipfile
 import cv2
 import pytest
 
-from app.model.scene_files import open_files
+from app.engine.scene_opening import open_files
 from app.model.session import with_document
 from app.model.state import Document, same_camera
 from photoreg.formats.archives import unzipped

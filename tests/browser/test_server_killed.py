@@ -7,8 +7,8 @@ import pytest
 from playwright.sync_api import Browser
 
 from app.control.autosave import DOCUMENT_TYPES
+from app.engine.scene_opening import open_folder
 from app.model.run import Run
-from app.model.scene_files import open_folder
 from photoreg.project.project import Project
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.events import Finished

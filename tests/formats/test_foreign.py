@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from app.model.file_kinds import KINDS
+from app.engine.file_kinds import KINDS
 from photoreg.errors import InputError
 from photoreg.formats.foreign import _BY_SUFFIX, _KINDS, what_to_do
 from photoreg.formats.meshes.read import load_mesh

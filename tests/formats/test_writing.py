@@ -22,9 +22,9 @@ from PIL import Image
 from photoreg.cli import commands as cli_commands
 from photoreg.errors import OutputError
 from photoreg.formats import writing
-from photoreg.formats.cameras.camera_set import CameraSet
+from photoreg.formats.cameras.camera_set import CameraSet, FormatName
 from photoreg.formats.cameras.cameras_json import CameraFile, load_cameras, save_cameras
-from photoreg.formats.cameras.registry import WRITTEN_FORMATS, FormatName, write_cameras
+from photoreg.formats.cameras.registry import WRITTEN_FORMATS, write_cameras
 from photoreg.formats.mark import is_marked, marked_picture
 from photoreg.formats.meshes.read import load_mesh
 from photoreg.formats.models.encode_texture import PictureKind, encode_picture
@@ -36,7 +36,7 @@ from photoreg.geometry.mesh import Mesh
 from photoreg.imaging.photo import Photo
 from photoreg.registration.events import Progress
 from photoreg.texture.bake import TexturedMesh, bake_texture
-from photoreg.texture.blend import TextureConfig
+from photoreg.texture.config import TextureConfig
 from tests.formats.camera_files import PLACES
 from tests.painted import ball_and_moon, cameras_around, photograph
 

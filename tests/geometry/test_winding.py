@@ -13,9 +13,9 @@ from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.sampling import sample_surface
 from photoreg.geometry.visibility import visible
 from photoreg.geometry.winding import consistently_wound, facing_cameras
-from photoreg.registration.readiness import check_readiness
+from photoreg.registration.check_readiness import check_readiness
 from photoreg.texture.bake import bake_texture
-from photoreg.texture.blend import TextureConfig
+from photoreg.texture.config import TextureConfig
 from tests.painted import ball_and_moon, cameras_around, photograph
 
 

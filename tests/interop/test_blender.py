@@ -16,7 +16,7 @@ from photoreg.formats.cameras.registry import write_cameras
 from photoreg.formats.models.glb import save_textured_glb
 from photoreg.formats.models.obj import save_textured_obj
 from photoreg.texture.bake import bake_texture
-from photoreg.texture.blend import TextureConfig
+from photoreg.texture.config import TextureConfig
 from tests.formats.camera_files import camera_set, points_before
 from tests.painted import ball_and_moon, cameras_around, photograph
 

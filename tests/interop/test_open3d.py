@@ -10,7 +10,7 @@ from photoreg.formats.models.ply import save_coloured_ply
 from photoreg.formats.models.registry import save_textured
 from photoreg.formats.models.split_vertices import vertex_colours
 from photoreg.texture.bake import TexturedMesh, bake_texture
-from photoreg.texture.blend import TextureConfig
+from photoreg.texture.config import TextureConfig
 from tests.painted import ball_and_moon, cameras_around, photograph
 
 pytestmark = pytest.mark.slow

@@ -13,8 +13,9 @@ from photoreg.geometry.projection_error import projection_error
 from photoreg.paper.experiment import MethodRun, manual_start, methods
 from photoreg.paper.report import TABLES, correlations
 from photoreg.paper.reproduce import Reproduced, ReproductionStep, reproduce
-from photoreg.parameters.genes import GeneBox, GeneMap
-from photoreg.polish.polish_cameras import PolishConfig
+from photoreg.parameters.gene_box import GeneBox
+from photoreg.parameters.genes import GeneMap
+from photoreg.polish.config import PolishConfig
 from photoreg.registration.config import RegistrationConfig
 from tests.scenes import small_scene
 

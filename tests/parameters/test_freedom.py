@@ -13,7 +13,8 @@ from photoreg.geometry.projection_error import projection_error
 from photoreg.parameters.freedom import Freedom, Held
 from photoreg.parameters.genes import GeneMap
 from photoreg.parameters.increments import free_directions
-from photoreg.polish.polish_cameras import PolishConfig, polish_cameras
+from photoreg.polish.config import PolishConfig
+from photoreg.polish.polish_cameras import polish_cameras
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.events import Finished
 from photoreg.registration.refinement import refine

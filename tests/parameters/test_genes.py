@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.rotations import rotation_matrices, rotation_vectors
-from photoreg.parameters.genes import GeneBox, GeneMap
+from photoreg.parameters.gene_box import GeneBox
+from photoreg.parameters.genes import GeneMap
 
 PIVOT = np.array([0.2, -0.1, 0.3])
 KINDS = [

@@ -9,9 +9,9 @@ import pytest
 from photoreg.errors import InputError
 from photoreg.geometry.mesh import Mesh
 from photoreg.parameters.freedom import Freedom, Held
-from photoreg.polish.correspondence_stage import MeshError
-from photoreg.polish.misfit import Disagreement
-from photoreg.polish.polish_cameras import PolishConfig, is_no_worse, polish_cameras
+from photoreg.polish.config import PolishConfig
+from photoreg.polish.disagreement import Disagreement, MeshError
+from photoreg.polish.polish_cameras import is_no_worse, polish_cameras
 from photoreg.polish.uncertainty import estimate_uncertainty
 from tests.polish_scene import make_polish_scene, projection_error_px
 

@@ -13,6 +13,7 @@ from photoreg.geometry.surface_view import surface_view
 from photoreg.imaging.pairs import all_pairs
 from photoreg.parameters.bounds import PriorScales
 from photoreg.parameters.increments import Increments
+from photoreg.polish.config import PolishConfig
 from photoreg.polish.kernels import bilinear_at, colours_at, weighted_moments
 from photoreg.polish.photometric_term import (
     CUT,
@@ -20,7 +21,7 @@ from photoreg.polish.photometric_term import (
     measure_noise,
     spread_pixels,
 )
-from photoreg.polish.polish_cameras import PolishConfig, _terms
+from photoreg.polish.polish_cameras import _terms
 from photoreg.synthetic.rough_cameras import rough_start
 from tests.polish import naive_photometric_term
 from tests.polish.naive_photometric_term import catmull_rom, pair_cost

@@ -9,7 +9,8 @@ from photoreg.errors import InputError, RefinementError
 from photoreg.geometry.lens import Lens
 from photoreg.geometry.rotations import rotation_matrix
 from photoreg.parameters.freedom import Freedom, Held
-from photoreg.polish.polish_cameras import PolishConfig, polish_cameras
+from photoreg.polish.config import PolishConfig
+from photoreg.polish.polish_cameras import polish_cameras
 from photoreg.polish.uncertainty import estimate_uncertainty, undetermined_directions
 from photoreg.synthetic.rough_cameras import rough_start
 from tests.polish_scene import (

@@ -16,7 +16,7 @@ from app.control import user_data
 from app.control.autosave import DOCUMENT_TYPES
 from app.control.project_reading import read_all
 from app.control.projects import Projects, remove_untouched
-from app.model.scene_files import demo_folder
+from app.engine.scene_opening import demo_folder
 from app.model.session import Session, with_document
 from app.page.main import open_project
 from photoreg.cli import commands

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from photoreg.errors import InputError, PhotoregError
 from photoreg.parameters.freedom import Freedom, Held
-from photoreg.polish.polish_cameras import PolishConfig
+from photoreg.polish.config import PolishConfig
 from photoreg.registration.checkpoint import Checkpoint, problem_digest
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.events import Finished, Progress

@@ -8,8 +8,8 @@ import pytest
 
 from photoreg.geometry.sampling import sample_surface
 from photoreg.geometry.visibility import share_seen_twice
+from photoreg.polish.config import PolishConfig
 from photoreg.polish.misfit import against_chance, disagreement
-from photoreg.polish.polish_cameras import PolishConfig
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.events import Finished
 from photoreg.registration.refinement import refine

@@ -8,7 +8,7 @@ import pytest
 from photoreg.geometry.projection_error import projection_error
 from photoreg.imaging.photo import Photo
 from photoreg.parameters.freedom import Freedom, Held
-from photoreg.polish.polish_cameras import PolishConfig
+from photoreg.polish.config import PolishConfig
 from photoreg.registration import refinement
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.events import Finished, Progress

@@ -7,10 +7,11 @@ import pytest
 
 from photoreg.errors import InputError, RefinementError
 from photoreg.geometry.projection_error import projection_error
-from photoreg.polish.misfit import Disagreement, disagreement
+from photoreg.polish.disagreement import Disagreement
+from photoreg.polish.misfit import disagreement
+from photoreg.registration.check_readiness import check_readiness
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.events import Finished, Progress
-from photoreg.registration.readiness import check_readiness
 from photoreg.registration.refinement import refine
 from photoreg.registration.verdict import decide_verdict
 from photoreg.search.genetic import GeneticConfig

@@ -9,7 +9,7 @@ from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.surface_view import surface_view
 from photoreg.imaging.photo import Photo
-from photoreg.registration.readiness import check_readiness
+from photoreg.registration.check_readiness import check_readiness
 from photoreg.registration.refinement import refine
 from photoreg.synthetic.options import SceneOptions
 from photoreg.synthetic.scene import Scene, make_scene

@@ -11,9 +11,10 @@ from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.projection_error import projection_error
 from photoreg.parameters.bounds import PriorScales
-from photoreg.parameters.genes import GeneBox, GeneMap
+from photoreg.parameters.gene_box import GeneBox
+from photoreg.parameters.genes import GeneMap
+from photoreg.polish.config import PolishConfig
 from photoreg.polish.misfit import disagreement
-from photoreg.polish.polish_cameras import PolishConfig
 from photoreg.registration import refinement, verdict
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.events import Finished, Progress

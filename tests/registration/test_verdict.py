@@ -9,8 +9,9 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from photoreg.geometry.projection_error import projection_error
-from photoreg.polish.misfit import Disagreement, against_chance, disagreement
-from photoreg.polish.polish_cameras import PolishConfig
+from photoreg.polish.config import PolishConfig
+from photoreg.polish.disagreement import Disagreement
+from photoreg.polish.misfit import against_chance, disagreement
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.events import Finished
 from photoreg.registration.refinement import refine

@@ -17,7 +17,7 @@ from PIL import ExifTags, Image
 from app.engine.warm_up import toy_scene
 from photoreg.errors import PhotoregError
 from photoreg.geometry.mesh import Mesh
-from photoreg.registration.readiness import check_readiness
+from photoreg.registration.check_readiness import check_readiness
 from tests.robustness.lying_archives import zip_archive_cases
 from tests.robustness.lying_cameras import camera_cases
 from tests.robustness.lying_foreign import foreign_cases

@@ -8,9 +8,10 @@ import pytest
 
 from app.control.project_reading import read_all
 from app.control.projects import Projects
+from app.engine.scene_opening import open_files
 from app.engine.warm_up import toy_scene
 from app.model import photo_list
-from app.model.scene_files import open_files, photo_files
+from app.model.scene_files import photo_files
 from app.model.session import Session
 from app.model.state import Document, PhotoEntry, State
 from photoreg.errors import InputError

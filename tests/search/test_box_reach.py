@@ -8,7 +8,8 @@ import pytest
 from photoreg.errors import InputError
 from photoreg.geometry.projection_error import projection_error
 from photoreg.parameters.freedom import Freedom, Held
-from photoreg.parameters.genes import GeneBox, GeneMap
+from photoreg.parameters.gene_box import GeneBox
+from photoreg.parameters.genes import GeneMap
 from photoreg.registration.config import OBJECT_BOX
 from photoreg.search.box_reach import box_reach
 from tests.scenes import small_scene

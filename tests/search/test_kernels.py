@@ -10,11 +10,8 @@ from photoreg.geometry.camera import Camera
 from photoreg.geometry.sampling import SurfaceSamples, sample_surface
 from photoreg.geometry.visibility import visible
 from photoreg.parameters.genes import GeneMap
-from photoreg.search.photo_consistency import (
-    ConsistencyConfig,
-    PhotoConsistency,
-    patches_of,
-)
+from photoreg.search.config import ConsistencyConfig
+from photoreg.search.photo_consistency import PhotoConsistency, patches_of
 from tests.scenes import small_scene
 from tests.search import naive_kernels
 

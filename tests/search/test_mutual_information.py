@@ -4,7 +4,8 @@ import dataclasses
 
 import numpy as np
 
-from photoreg.parameters.genes import GeneBox, GeneMap
+from photoreg.parameters.gene_box import GeneBox
+from photoreg.parameters.genes import GeneMap
 from photoreg.search.mutual_information import MutualInformation, untold_shares
 from tests.scenes import small_scene
 

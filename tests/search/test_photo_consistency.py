@@ -7,11 +7,8 @@ import pytest
 
 from photoreg.errors import InputError
 from photoreg.geometry.sampling import sample_surface
-from photoreg.search.photo_consistency import (
-    ConsistencyConfig,
-    PhotoConsistency,
-    stack_photos,
-)
+from photoreg.search.config import ConsistencyConfig
+from photoreg.search.photo_consistency import PhotoConsistency, stack_photos
 from tests.scenes import small_scene
 
 

@@ -17,7 +17,7 @@ from photoreg.synthetic.options import SceneOptions
 from photoreg.synthetic.scene import make_scene
 from photoreg.texture.atlas import make_atlas
 from photoreg.texture.bake import BakingStep, TexturedMesh, bake_texture, baking
-from photoreg.texture.blend import TextureConfig
+from photoreg.texture.config import TextureConfig
 from tests.painted import (
     BACKDROP,
     ball_and_moon,

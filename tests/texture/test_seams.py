@@ -12,7 +12,7 @@ from photoreg.synthetic.render import encode_srgb
 from photoreg.synthetic.scene import Scene, make_scene
 from photoreg.texture.atlas import Atlas, make_atlas
 from photoreg.texture.bake import TexturedMesh, bake_texture
-from photoreg.texture.blend import TextureConfig
+from photoreg.texture.config import TextureConfig
 from tests.texture.third_view import bilinear
 
 GAIN = (0.75, 0.8, 0.85)

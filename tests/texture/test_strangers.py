@@ -8,7 +8,7 @@ import pytest
 from photoreg.geometry.camera import Camera
 from photoreg.texture.atlas import make_atlas
 from photoreg.texture.bake import bake_texture
-from photoreg.texture.blend import TextureConfig
+from photoreg.texture.config import TextureConfig
 from photoreg.texture.strangers import find_strangers
 from tests.scenes import small_scene
 

@@ -4,6 +4,7 @@ import dataclasses
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import scipy.optimize
@@ -14,6 +15,20 @@ from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.lens import TERMS, Lens
 from photoreg.words import nfc
+
+FormatName = Literal[
+    "photoreg",
+    "colmap",
+    "colmap-text",
+    "nerfstudio",
+    "meshlab",
+    "texrecon",
+    "opencv",
+    "bundler",
+    "blender",
+    "metashape",
+]
+"""The formats of cameras, as they are named on the command line."""
 
 MAX_SIDE_PX = 1_000_000
 OPENGL_AXES = np.diag([1.0, -1.0, -1.0])

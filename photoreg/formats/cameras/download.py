@@ -11,9 +11,8 @@ from PIL import Image
 
 from photoreg.errors import InputError, OutputError
 from photoreg.formats.archives import unzipped, zipped
-from photoreg.formats.cameras.camera_set import CameraSet
+from photoreg.formats.cameras.camera_set import CameraSet, FormatName
 from photoreg.formats.cameras.registry import (
-    FormatName,
     camera_format,
     for_programs,
     write_cameras,

@@ -3,12 +3,11 @@
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Literal
 
 from photoreg.errors import InputError, OutputError
 from photoreg.formats.cameras.blender import save_blender
 from photoreg.formats.cameras.bundler import load_bundler, save_bundler
-from photoreg.formats.cameras.camera_set import CameraSet, Saved
+from photoreg.formats.cameras.camera_set import CameraSet, FormatName, Saved
 from photoreg.formats.cameras.cameras_json import (
     CameraFile,
     WorldMove,
@@ -38,19 +37,6 @@ from photoreg.formats.parsing import read_json
 from photoreg.geometry.camera import Camera
 from photoreg.names import presentable
 from photoreg.words import nfc
-
-FormatName = Literal[
-    "photoreg",
-    "colmap",
-    "colmap-text",
-    "nerfstudio",
-    "meshlab",
-    "texrecon",
-    "opencv",
-    "bundler",
-    "blender",
-    "metashape",
-]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

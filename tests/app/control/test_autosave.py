@@ -16,10 +16,10 @@ from app.control.autosave import CHOICES, DOCUMENT_TYPES, fits
 from app.control.project_reading import read_all
 from app.control.projects import Projects, remove_untouched
 from app.control.user_data import LOG_FILE
+from app.engine.scene_opening import demo_folder
 from app.model import photo_list
 from app.model.masks import painted_mask
 from app.model.run import KeptSearch, Run
-from app.model.scene_files import demo_folder
 from app.model.session import Session, select, setting, with_document, with_entry
 from app.model.state import ModelChoice, PointPair, State
 from app.page.main import open_project
@@ -34,7 +34,7 @@ WRITER = """
 import sys
 from pathlib import Path
 from app.page.main import open_project
-from app.model.scene_files import demo_folder
+from app.engine.scene_opening import demo_folder
 from app.control.project_reading import read_all
 from app.control.projects import Projects, remove_untouched
 from app.model.session import Session, with_document

@@ -13,7 +13,7 @@ from PIL import Image
 
 from app.control.file_intake import FileIntake
 from app.engine import read_job
-from app.model.scene_files import demo_folder
+from app.engine.scene_opening import demo_folder
 from app.model.session import Session
 from app.model.state import Document
 from app.page.main import open_document

@@ -19,7 +19,7 @@ import pytest
 from app.control import project_reading
 from app.control.project_reading import ProjectReader, read_all
 from app.control.projects import Projects
-from app.model.scene_files import demo_folder, open_folder
+from app.engine.scene_opening import demo_folder, open_folder
 from app.model.session import Session
 from photoreg.errors import InputError
 from photoreg.imaging.photo import Photo

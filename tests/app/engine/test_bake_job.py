@@ -15,7 +15,7 @@ from app.model.messages import Baked, Working
 from app.model.state import ModelChoice, Texture
 from photoreg.errors import InputError
 from photoreg.texture.atlas import make_atlas
-from photoreg.texture.blend import TextureConfig
+from photoreg.texture.config import TextureConfig
 
 
 @pytest.fixture(scope="module")

@@ -48,7 +48,7 @@ from photoreg.registration.refinement import refine
 from photoreg.report.cost_curve import CurvePoint
 from photoreg.synthetic.options import SceneOptions
 from photoreg.synthetic.scene import Scene, make_scene
-from photoreg.texture.blend import TextureConfig
+from photoreg.texture.config import TextureConfig
 from tests.browser.driver import wait_until
 
 VIEW = OverlayView(style="blend", onto=0)

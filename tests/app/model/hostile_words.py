@@ -21,10 +21,10 @@ from app.model.state import (
 )
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.readiness import Readiness
-from photoreg.report.comparison import PhotoComparison
 from photoreg.report.cost_curve import CurvePoint
+from photoreg.report.photo_comparison import PhotoComparison
 from photoreg.resection.solver import Resection
-from photoreg.texture.blend import TextureConfig
+from photoreg.texture.config import TextureConfig
 from tests.robustness.lying_meshes import glb
 
 SCRIPT = "window.hacked=(window.hacked??0)+1"

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from app.engine.scene_opening import open_files, open_folder
 from app.engine.warm_up import toy_scene
 from app.model.camera_moves import (
     DisplayFrame,
@@ -14,7 +15,6 @@ from app.model.camera_moves import (
     up_of,
     with_focal,
 )
-from app.model.scene_files import open_files, open_folder
 from app.scene.canvas import fitting_focal, warped_photo
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from app.control.controller import Controller
+from app.engine.scene_opening import demo_folder, open_folder
 from app.model.failures import UNFORESEEN
 from app.model.messages import Working
-from app.model.scene_files import demo_folder, open_folder
 from app.model.session import Session, select, setting, with_entry
 from app.model.state import State
 from app.page import server

@@ -7,11 +7,10 @@ import pytest
 from PIL import ExifTags, Image
 
 from photoreg.errors import InputError, OutputError
-from photoreg.formats.cameras.camera_set import CameraSet, largest_shift_px
+from photoreg.formats.cameras.camera_set import CameraSet, FormatName, largest_shift_px
 from photoreg.formats.cameras.registry import (
     CAMERA_FORMATS,
     WRITTEN_FORMATS,
-    FormatName,
     format_to_write,
     read_cameras,
 )

@@ -14,7 +14,7 @@ from photoreg.errors import OutputError
 from photoreg.formats.models.obj import save_textured_obj
 from photoreg.formats.models.registry import textured_download
 from photoreg.texture.bake import bake_texture
-from photoreg.texture.blend import TextureConfig
+from photoreg.texture.config import TextureConfig
 from tests.painted import ball_and_moon, cameras_around, paint, photograph
 
 

@@ -16,7 +16,7 @@ from photoreg.formats.models.registry import TEXTURED_FORMATS, save_textured
 from photoreg.formats.models.split_vertices import split_at_seams, vertex_colours
 from photoreg.geometry.mesh import Mesh
 from photoreg.texture.bake import TexturedMesh, bake_texture
-from photoreg.texture.blend import TextureConfig
+from photoreg.texture.config import TextureConfig
 from tests.painted import ball_and_moon, cameras_around, paint, photograph
 
 

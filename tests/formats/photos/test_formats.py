@@ -304,7 +304,7 @@ def test_a_fisheye_lens_and_a_phone_s_panorama_are_refused(tmp_path):
 
 
 def test_the_page_and_the_command_line_take_what_is_in_the_registry():
-    from app.model.file_kinds import KINDS, PHOTO
+    from app.engine.file_kinds import KINDS, PHOTO
     from photoreg.cli.commands import commands
 
     assert KINDS[PHOTO] == PHOTO_SUFFIXES
