@@ -27,8 +27,12 @@ class RunControl:
         # Shared with the session: listeners run under it.
         self._lock = session.lock
 
-    def start(self) -> None:
-        """Starts the refinement of the photos used."""
+    def start(self, is_wider: bool = False) -> None:
+        """Starts the refinement of the photos used.
+
+        Args:
+            is_wider: Whether to search wider than the settings say.
+        """
         with self._lock:
             state = self._session.state
             must_be_idle(state)
@@ -39,13 +43,13 @@ class RunControl:
                 raise RefinementError(
                     "No photo is in use. Add one, or tick one, in the Data tab."
                 )
-            cameras = document.used_cameras
+            cameras, settings = document.used_cameras, state.settings
             run = Run(
                 status="starting",
                 number=1 + max((run.number for run in state.runs), default=0),
                 began=f"{datetime.datetime.now():%Y-%m-%d %H:%M:%S}",
                 preset=state.preset,
-                config=state.settings,
+                config=settings.searching_wider() if is_wider else settings,
                 photo_names=tuple(entry.name for entry in document.used),
                 start=cameras,
                 cameras=cameras,
@@ -129,10 +133,14 @@ class RunControl:
             self._worker.stop_refinement()
 
     def start_again(self) -> None:
-        """Accepts the run on screen and starts the next one from its cameras."""
+        """Accepts the run on screen and starts the next one from its cameras.
+
+        A run that did not convince would find the same again: the next one searches wider.
+        """
         with self._lock:
+            grade = self._session.state.run.grade
             self.accept()
-            self.start()
+            self.start(is_wider=grade is not None and grade != "convincing")
 
     def accept(self) -> None:
         """Takes the refined cameras into the document, as one undo step."""

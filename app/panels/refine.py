@@ -101,7 +101,8 @@ class RefinePanel:
             "Refine again from here",
             icon=viser.Icon.REPEAT,
             visible=False,
-            hint="Takes the refined cameras, and starts another run from them.",
+            hint="Takes the refined cameras, and starts another run from them; it searches "
+            "wider where they did not convince.",
         )
         self._report = gui.add_button(
             "Download report",

@@ -38,8 +38,8 @@ from photoreg.imaging.encoding import encode_jpeg
 from photoreg.overlay.disagreement_map import mean_disagreement
 from photoreg.overlay.pictures import LiveOverlay, compose
 from photoreg.parameters.freedom import Freedom
+from photoreg.registration.attempts import refine_in_attempts
 from photoreg.registration.events import Finished, Progress
-from photoreg.registration.refinement import refine
 from photoreg.registration.scene_files import LoadedScene, cropped_by_exif, load_scene
 from photoreg.report.comparison import (
     JPEG_QUALITY,
@@ -271,7 +271,9 @@ def _refine_and_write(
     )
     curve, points = CostCurve(), []
     finished = None
-    for event in refine(mesh, photos, scene.cameras, settings.config, freedom):
+    for event in refine_in_attempts(
+        mesh, photos, scene.cameras, settings.config, freedom
+    ):
         if isinstance(event, Progress):
             points += curve.points(event)
         else:

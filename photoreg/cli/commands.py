@@ -44,9 +44,9 @@ from photoreg.imaging.pairs import pairs_in_words
 from photoreg.imaging.photo import Photo
 from photoreg.paper.reproduce import Reproduced, reproduce
 from photoreg.parameters.freedom import Freedom
+from photoreg.registration.attempts import refine_in_attempts
 from photoreg.registration.config import PresetName, RegistrationConfig
 from photoreg.registration.events import Finished, Progress
-from photoreg.registration.refinement import refine
 from photoreg.registration.scene_files import cropped_by_exif, load_scene
 from photoreg.registration.world import (
     in_world_of_mesh,
@@ -120,7 +120,8 @@ def _refine_command(preset: RegistrationConfig) -> Callable[..., int]:
     ) -> int:
         """Refine rough cameras until the photos agree over the whole surface.
 
-        One photo is compared with the surface itself, by its shading and outline.
+        One photo is compared with the surface itself, by its shading and outline. Where
+        the answer does not convince, a second attempt searches wider.
 
         Ctrl-C writes the best cameras found so far.
 
@@ -610,7 +611,7 @@ def _watch(
     with _bar() as bar, asked_to_stop() as stop:
         task = bar.add_task("getting ready", total=1.0, cost="")
         event = None
-        for event in refine(mesh, photos, start, config, freedom):
+        for event in refine_in_attempts(mesh, photos, start, config, freedom):
             if isinstance(event, Progress) and math.isfinite(event.best_cost):
                 bar.update(
                     task,

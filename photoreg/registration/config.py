@@ -140,6 +140,19 @@ class RegistrationConfig:
             principal_point=paper.principal_point * lens,
         )
 
+    def searching_wider(self) -> "RegistrationConfig":
+        """These settings with the search of the preset ``thorough``, and the next seed."""
+        thorough = RegistrationConfig.preset("thorough")
+        return dataclasses.replace(
+            self,
+            seed=(self.seed + 1) % LARGEST_SEED,
+            box=thorough.box,
+            consistency=thorough.consistency,
+            pull=thorough.pull,
+            principal_point_prior=thorough.principal_point_prior,
+            genetic=thorough.genetic,
+        )
+
     @classmethod
     def preset(
         cls, name: PresetName = "default", seed: int = 0
