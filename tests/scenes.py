@@ -6,6 +6,9 @@ different distances and have different focal lengths; the object is not centred.
 
 import functools
 
+import numpy as np
+
+from photoreg.geometry.mesh import Mesh
 from photoreg.synthetic.options import SceneOptions
 from photoreg.synthetic.scene import Scene, make_scene
 
@@ -40,3 +43,17 @@ def small_scene(
             },
         )
     )
+
+
+def on_a_site(scene: Scene, diagonals: float) -> Mesh:
+    """The object, and a wall behind the cameras that is so many times as large."""
+    mesh = scene.mesh
+    middle = mesh.bounds.mean(axis=0)
+    back = np.mean([camera.center for camera in scene.cameras], axis=0) - middle
+    back /= np.linalg.norm(back)
+    across, along = diagonals * mesh.diagonal * np.linalg.svd(back[None])[2][1:]
+    behind = middle + 10.0 * mesh.diagonal * back
+    wall = [behind + i * across + k * along for i, k in ((-1, -1), (1, -1), (1, 1))]
+    n = len(mesh.vertices)
+    faces = np.vstack([mesh.faces, [n, n + 1, n + 2]])
+    return Mesh(np.vstack([mesh.vertices, wall]), faces)

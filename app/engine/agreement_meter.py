@@ -4,12 +4,13 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Bool
 
 from app.model.state import Agreement
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
-from photoreg.geometry.sampling import sample_surface
-from photoreg.geometry.visibility import visible
+from photoreg.geometry.sampling import SurfaceSamples, sample_surface
+from photoreg.geometry.visibility import samples_for, visible
 from photoreg.geometry.winding import facing_cameras
 from photoreg.imaging.photo import Photo
 from photoreg.search.config import ConsistencyConfig
@@ -35,16 +36,23 @@ class AgreementMeter:
     """
 
     def __init__(self, mesh: Mesh, photos: Sequence[Photo]) -> None:
-        self._mesh = mesh
-        self._samples = sample_surface(mesh, N_POINTS, seed=0)
+        self._mesh, self._photos = mesh, photos
+        self._compare_at(sample_surface(mesh, N_POINTS, seed=0))
+
+    def _compare_at(self, samples: SurfaceSamples) -> None:
+        self._samples = samples
         config = ConsistencyConfig(max_side_px=SIDE_PX, blur_px=BLUR_PX, min_cosine=0.0)
-        self._consistency = PhotoConsistency(self._samples, photos, config)
+        self._consistency = PhotoConsistency(samples, self._photos, config)
 
     def agreement(self, cameras: Sequence[Camera]) -> Agreement:
         """How well the photos agree on the points that two or more of them see."""
-        seen = visible(self._samples, cameras, self._mesh, "rays", MIN_COSINE)
-        if not seen.any():
-            seen = self._seen_if_turned(cameras)
+        seen = self._seen(cameras)
+        if (seen.sum(axis=0) >= 2).sum() < MIN_COMMON:
+            # They may show a detail that has few of the points, or another one.
+            samples = samples_for(self._mesh, cameras, N_POINTS, seed=0)
+            if not np.array_equal(samples.points, self._samples.points):
+                self._compare_at(samples)
+                seen = self._seen(cameras)
         counts = seen.sum(axis=0)
         n_common, n_seen = int((counts >= 2).sum()), int((counts >= 1).sum())
         share = n_common / n_seen if n_seen else 0.0
@@ -54,7 +62,12 @@ class AgreementMeter:
         cost, chance = self._consistency.cost_and_chance(cameras)
         return Agreement(cost, chance, share)
 
-    def _seen_if_turned(self, cameras: Sequence[Camera]) -> np.ndarray:
+    def _seen(self, cameras: Sequence[Camera]) -> Bool[np.ndarray, "m n"]:
+        """Which points each camera sees."""
+        seen = visible(self._samples, cameras, self._mesh, "rays", MIN_COSINE)
+        return seen if seen.any() else self._seen_if_turned(cameras)
+
+    def _seen_if_turned(self, cameras: Sequence[Camera]) -> Bool[np.ndarray, "m n"]:
         """Which points are seen of a mesh that turns its backs to the cameras."""
         mesh = facing_cameras(self._mesh, cameras)
         turned = (mesh.faces != self._mesh.faces).any(axis=1)[self._samples.face_index]

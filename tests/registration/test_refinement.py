@@ -20,7 +20,7 @@ from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.events import Finished, Progress
 from photoreg.registration.refinement import border_warnings, refine
 from photoreg.search.genetic import GeneticConfig
-from tests.scenes import small_scene
+from tests.scenes import on_a_site, small_scene
 
 pytestmark = pytest.mark.workqueue
 
@@ -83,20 +83,6 @@ def test_the_default_preset_finds_the_cameras():
     # The mesh is exact, so what is told of it is the matches' own noise.
     assert last.mesh_error is not None
     assert last.mesh_error.sigma < 1e-3 * scene.mesh.diagonal
-
-
-def on_a_site(scene, diagonals: float) -> Mesh:
-    """The object, and a wall behind the cameras that is so many times as large."""
-    mesh = scene.mesh
-    middle = mesh.bounds.mean(axis=0)
-    back = np.mean([camera.center for camera in scene.cameras], axis=0) - middle
-    back /= np.linalg.norm(back)
-    across, along = diagonals * mesh.diagonal * np.linalg.svd(back[None])[2][1:]
-    behind = middle + 10.0 * mesh.diagonal * back
-    wall = [behind + i * across + k * along for i, k in ((-1, -1), (1, -1), (1, 1))]
-    n = len(mesh.vertices)
-    faces = np.vstack([mesh.faces, [n, n + 1, n + 2]])
-    return Mesh(np.vstack([mesh.vertices, wall]), faces)
 
 
 def test_a_detail_of_a_large_site_is_refined_as_by_itself():

@@ -254,6 +254,10 @@ def obj_cases() -> Iterator[Case]:
     )
     large = {"m.mtl": b"newmtl a\n" + b"#" * 1_100_000}
     yield Case("MTL: itself above the limit", "m.obj", beside("", text, large), SOUND)
+    wide = {"m.mtl": "newmtl a\nmap_Kd t.png\n".encode("utf-16"), "t.png": png()}
+    yield Case(
+        "MTL: in UTF-16", "m.obj", beside("", text, wide), "m.mtl is text in UTF-16"
+    )
 
 
 def ply_cases() -> Iterator[Case]:

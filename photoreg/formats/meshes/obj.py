@@ -18,6 +18,7 @@ from photoreg.formats.meshes.contents import (
     texture_picture,
 )
 from photoreg.formats.meshes.polygons import triangle_corners
+from photoreg.formats.parsing import refuse_utf16
 from photoreg.limits import Limits
 from photoreg.sources import read_regular
 
@@ -242,7 +243,10 @@ def _material_text(
             continue
         else:
             files = [found]
-        texts += [read_regular(file).decode("utf-8", "replace") for file in files]
+        for file in files:
+            content = read_regular(file)
+            refuse_utf16(file, content)
+            texts.append(content.decode("utf-8", "replace"))
     text = "\n".join(texts).replace("\ufeff", "")
     moved = [line for line in text.splitlines() if _moves_texture(line)]
     for line in dict.fromkeys(moved):

@@ -11,6 +11,7 @@ from app.model.state import Agreement
 from photoreg.geometry.projection_error import projection_error
 from photoreg.synthetic.options import SceneOptions
 from photoreg.synthetic.scene import Scene, make_scene
+from tests.scenes import on_a_site
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +49,20 @@ def test_the_order_of_the_photos_does_not_matter(scene, judge):
     other = AgreementMeter(scene.mesh, scene.photos[::-1]).agreement(cameras[::-1])
     assert one.share_seen == other.share_seen
     assert one.share == pytest.approx(other.share, abs=1e-3)
+
+
+def test_a_detail_of_a_large_site_is_measured(scene):
+    site = on_a_site(scene, 30.0)
+    meter = AgreementMeter(site, scene.photos)
+    shares = []
+    for cameras in (scene.rough_cameras, scene.cameras):
+        found = meter.agreement(cameras)
+        assert found.share is not None
+        assert found.share_seen > 0.3
+        shares.append(found.share)
+    rough, true = shares
+    assert true > 0.97, shares
+    assert rough < 0.95, shares
 
 
 def test_cameras_that_share_nothing_have_no_agreement(scene, judge):
