@@ -244,6 +244,9 @@ def polish_cameras(
         latest = dataclasses.replace(
             latest, scatter=scatter, bias_px=_bias_px(latest.cameras, terms)
         )
+        if distortion == "auto" and level == len(config.blurs_px) - 2:
+            # Here they are decided best: the finest level has more of the photos' noise.
+            moving, x = moving.without_open_lens(x, terms, scatter, freedom)
         if stage == len(config.blurs_px) - 1 and distortion in NEXT_DISTORTION:
             wide, x_wide = moving.widened(x, NEXT_DISTORTION[distortion], freedom)
             wide_seed = seed + 101 * level
@@ -274,14 +277,6 @@ def polish_cameras(
                 # Once more with them, from where the others are near already.
                 levels.append(level)
                 moving, x = wide, x_wide
-            else:
-                model = total([moving.prior, *terms], x)
-                ideal = moving.without_lens(freedom)
-                back = step_back(model, scatter, ideal.directions, moving.directions, x)
-                if back is not None and moving.has(x + back):
-                    # Once more without them.
-                    levels.append(level)
-                    moving, x = ideal, x + back
         if stage == len(levels) - 1:
             latest = dataclasses.replace(
                 latest,
@@ -364,10 +359,20 @@ class _Moving:
         start, x = (_widened(at, self.increments, wider) for at in (self.start, x))
         return _Moving.of(wider, start, freedom), x
 
-    def without_lens(self, freedom: Freedom) -> "_Moving":
-        """The same numbers, of which those of the lenses do not move."""
+    def without_open_lens(
+        self,
+        x: Float[np.ndarray, "p"],
+        terms: Sequence[PolishTerm],
+        scatter: Float[np.ndarray, "p p"],
+        freedom: Freedom,
+    ) -> "tuple[_Moving, Float[np.ndarray, 'p']]":
+        """Without the lenses, and one step to there, where the data do not decide them."""
         directions = free_directions(self.increments, freedom, N_TERMS["none"])
-        return dataclasses.replace(self, directions=directions)
+        model = total([self.prior, *terms], x)
+        back = step_back(model, scatter, directions, self.directions, x)
+        if back is None or not self.has(x + back):
+            return self, x
+        return dataclasses.replace(self, directions=directions), x + back
 
     def has(self, x: Float[np.ndarray, "p"]) -> bool:
         """Whether no number is beyond its limit."""

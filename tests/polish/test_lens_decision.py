@@ -23,7 +23,7 @@ def test_what_the_data_do_not_decide_goes_back():
     few, more = np.eye(3)[:, :2], np.eye(3)
     normal = np.array([[4.0, 0.0, 1.0], [0.0, 4.0, 2.0], [1.0, 2.0, 4.0]])
     model = Quadratic(1.0, np.zeros(3), normal)
-    for along, decided in ((2.0, False), (20.0, True)):
+    for along, decided in ((1.0, False), (20.0, True)):
         x = np.array([1.0, 1.0, along])
         step = step_back(model, normal, few, more, x)
         assert (step is None) == decided
