@@ -1,13 +1,14 @@
 """Refinements of photos through real lenses, whose terms nobody knows beforehand."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from photoreg.parameters.freedom import Freedom
 from photoreg.registration.config import RegistrationConfig
-from tests.bench.metrics import Metric, Setting, bench
-from tests.bench.outcomes import error_figures, run_world, time_figures
+from tests.bench.metrics import Metric, Setting, bench, spread
+from tests.bench.outcomes import Outcome, error_figures, run_world, time_figures
 from tests.bench.worlds import World, world
 
 PHONE_FOCAL_SHARE = 0.78
@@ -46,6 +47,13 @@ def _ideal(n: int, kind: str) -> Iterator[World]:
         yield world(kind, seed)
 
 
+def _cropped(n: int, kind: str) -> Iterator[World]:
+    """Scenes whose principal points are 10 to 30 % of the width off."""
+    for seed in range(FIRST_SEED, FIRST_SEED + n):
+        crop = float(np.random.default_rng(seed).uniform(0.1, 0.3))
+        yield world(kind, seed, crop=crop)
+
+
 @bench
 def lens(setting: Setting) -> Iterator[Metric]:
     """Unknown lenses solved along, and ideal ones solved all the same."""
@@ -60,6 +68,7 @@ def lens(setting: Setting) -> Iterator[Metric]:
         outcomes = [run_world(made, SOLVING) for made in scenes(setting.n, kind)]
         yield from error_figures(name, outcomes, mean_bar, worst_bar)
         yield from time_figures(name, outcomes)
+        yield from _honesty(name, outcomes)
 
 
 @bench
@@ -70,3 +79,79 @@ def lens_held(setting: Setting) -> Iterator[Metric]:
         outcomes = [run_world(made, held) for made in scenes(setting.n, "clean")]
         yield from error_figures(f"lens_held.{name}", outcomes)
         yield from time_figures(f"lens_held.{name}", outcomes)
+        yield from _honesty(f"lens_held.{name}", outcomes)
+
+
+@bench
+def lens_price(setting: Setting) -> Iterator[Metric]:
+    """Processor time of whole refinements with the lens over that without, in turn."""
+    held = dataclasses.replace(SOLVING, distortion="none")
+    for name, scenes in (("ideal", _ideal), ("k1", _through_k1)):
+        ratios = [
+            run_world(made, SOLVING).cpu_s / run_world(made, held).cpu_s
+            for made in scenes(setting.n, "clean")
+        ]
+        yield from spread(f"lens_price.{name}", ratios, "x", 1.15, tolerance=0.1)
+
+
+@bench
+def cropped(setting: Setting) -> Iterator[Metric]:
+    """Photos of which a part was cut off, said and not said."""
+    saying = Freedom(cropped=(0, 1))
+    for kind, mean_bar in (("clean", 0.1), ("mid", 1.2)):
+        for name, freedom in (("cropped", saying), ("cropped_unsaid", None)):
+            outcomes = [
+                run_world(made, freedom=freedom) for made in _cropped(setting.n, kind)
+            ]
+            bar = mean_bar if freedom is saying else None
+            yield from error_figures(f"{name}.{kind}", outcomes, bar)
+            yield from _honesty(f"{name}.{kind}", outcomes, 1.2)
+
+
+def _honesty(
+    name: str, outcomes: Sequence[Outcome], limit_px: float = 1.0
+) -> Iterator[Metric]:
+    """Whether verdict and expected error are as the true errors are."""
+    ends = np.array([outcome.end_px for outcome in outcomes])
+    convincing = np.array(
+        [
+            outcome.finished.verdict is not None
+            and outcome.finished.verdict.grade == "convincing"
+            for outcome in outcomes
+        ]
+    )
+    note = f"n={ends.size}"
+    yield Metric(
+        f"{name}.convincing_wrongly",
+        int((convincing & (ends > limit_px)).sum()),
+        f"over {limit_px:g} px",
+        "lower",
+        0.0,
+        0.0,
+        note,
+    )
+    right = ends <= limit_px
+    if right.any():
+        yield Metric(
+            f"{name}.convincing_rightly",
+            float(convincing[right].mean()),
+            f"of ends within {limit_px:g} px",
+            "higher",
+            None,
+            0.05,
+            f"n={right.sum()}",
+        )
+    expected = [outcome.finished.expected_error_px for outcome in outcomes]
+    ratios = np.array(
+        [end / px for end, px in zip(ends, expected, strict=True) if px is not None]
+    )
+    if ratios.size:
+        yield Metric(
+            f"{name}.within_twice",
+            float((ratios <= 2.0).mean()),
+            "of runs",
+            "higher",
+            0.9,
+            0.1,
+            f"n={ratios.size}; median true / expected {np.median(ratios):.2f}",
+        )

@@ -10,6 +10,7 @@ from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.projection_error import projection_error
 from photoreg.imaging.photo import Photo
+from photoreg.parameters.freedom import Freedom
 from photoreg.registration.config import PresetName, RegistrationConfig
 from photoreg.registration.events import Finished
 from photoreg.registration.refinement import refine
@@ -36,10 +37,11 @@ def run(
     start: Sequence[Camera],
     config: RegistrationConfig | None = None,
     true_mesh: Mesh | None = None,
+    freedom: Freedom | None = None,
 ) -> Outcome:
     """Refines ``start`` and measures both ends of the way, on ``true_mesh`` if given."""
     began, cpu_began = time.perf_counter(), time.process_time()
-    *_, finished = refine(mesh, photos, start, config)
+    *_, finished = refine(mesh, photos, start, config, freedom)
     elapsed_s = time.perf_counter() - began
     cpu_s = time.process_time() - cpu_began
     assert isinstance(finished, Finished)
@@ -53,7 +55,11 @@ def run(
     )
 
 
-def run_world(world: World, config: RegistrationConfig | None = None) -> Outcome:
+def run_world(
+    world: World,
+    config: RegistrationConfig | None = None,
+    freedom: Freedom | None = None,
+) -> Outcome:
     """Refines a made scene's rough cameras; its seed is the search's too."""
     config = RegistrationConfig() if config is None else config
     return run(
@@ -63,6 +69,7 @@ def run_world(world: World, config: RegistrationConfig | None = None) -> Outcome
         world.rough_cameras,
         dataclasses.replace(config, seed=world.seed),
         world.true_mesh,
+        freedom,
     )
 
 
