@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
+import numpy as np
 import tyro
 
 from photoreg.errors import InputError
@@ -46,15 +47,22 @@ class SceneSettings:
     height: int = 768
     baseline_deg: float = 25.0
     mesh_noise: float = 0.0
+    mesh_noise_length: float = 0.0
+    mesh_smoothing: float = 0.0
+    mesh_fat_edges: float = 0.0
+    mesh_holes: float = 0.0
     contrast: float = 1.0
     gain: PerChannel = 1.0
     offset: PerChannel = 0.0
     vignetting: float = 0.0
+    haze: float = 0.0
+    gloss: float = 0.0
     sensor_noise: float = 0.0
     jpeg_quality: int = 0
     light: Light = "flat"
     background: Background = "dark"
     occluder_share: float = 0.0
+    foliage_share: float = 0.0
     focal_share: float | None = None
 
 
@@ -87,6 +95,17 @@ class SceneOptions:
     mesh_noise: float | None = None
     """Sigma of the error of each vertex of the given mesh, along its normal, as a
     fraction of the diagonal. Photos always show the true surface."""
+    mesh_noise_length: float | None = None
+    """How far the mesh's error is alike, as a fraction of the diagonal; 0: each vertex has
+    its own."""
+    mesh_smoothing: float | None = None
+    """How far the given mesh was smoothed, which rounds its corners, as a fraction of the
+    diagonal."""
+    mesh_fat_edges: float | None = None
+    """How far the given mesh's sharpest edges stand out too much, as a fraction of the
+    diagonal."""
+    mesh_holes: float | None = None
+    """Share of the given mesh's area that is missing, in a dozen holes."""
     contrast: float | None = None
     """Factor on the texture's differences from its mean colour."""
     gain: PerChannel | None = None
@@ -95,6 +114,12 @@ class SceneOptions:
     """Added to the pixel values (0..255) of all photos but the first, after gain."""
     vignetting: float | None = None
     """Share of the light lost in the corners of every photo."""
+    haze: float | None = None
+    """Most of each photo that a veil takes, which changes slowly over it, otherwise in
+    each."""
+    gloss: float | None = None
+    """Light of a highlight that moves over the surface with the camera, over that of white
+    in full light."""
     sensor_noise: float | None = None
     """Sigma of the noise on every pixel value, of 255."""
     jpeg_quality: int | None = None
@@ -106,6 +131,8 @@ class SceneOptions:
     """Behind the object: nearly black, a plain soft backdrop, textured surroundings."""
     occluder_share: float | None = None
     """Share of the last photo covered by something in front."""
+    foliage_share: float | None = None
+    """Share of the last photo covered by leaves in front."""
     focal_share: float | None = None
     """Focal length over the photo's width: 0.78 is a phone's."""
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -146,6 +173,16 @@ class SceneOptions:
                 f"crop is {self.crop:g}; give how far principal points are off, as a share "
                 "of the photo, 0 to 0.5."
             )
+        for name in ("mesh_noise", "mesh_noise_length", "mesh_smoothing", "gloss"):
+            if not 0.0 <= getattr(settings, name) < np.inf:
+                raise InputError(
+                    f"{name} is {getattr(settings, name):g}; give 0 or more."
+                )
+        for name in ("haze", "mesh_holes", "foliage_share"):
+            if not 0.0 <= getattr(settings, name) <= 0.9:
+                raise InputError(
+                    f"{name} is {getattr(settings, name):g}; give a share, 0 to 0.9."
+                )
         if not 0.0 <= settings.occluder_share < 1.0:
             raise InputError(
                 f"The occluder's share is {settings.occluder_share:g}; give 0 to 1."

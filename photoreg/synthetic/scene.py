@@ -29,7 +29,15 @@ from photoreg.synthetic.render import (
 )
 from photoreg.synthetic.rock import rock_albedo
 from photoreg.synthetic.rough_cameras import rough_start as rough_start
-from photoreg.synthetic.sensor import decode_photo, encode_photo, expose, occluded
+from photoreg.synthetic.scan_errors import scanned
+from photoreg.synthetic.sensor import (
+    behind_leaves,
+    decode_photo,
+    encode_photo,
+    expose,
+    hazy,
+    occluded,
+)
 from photoreg.synthetic.worlds import UP, World, cropped_views, make_views, make_world
 
 
@@ -78,6 +86,11 @@ def make_scene(options: SceneOptions) -> Scene:
     views = make_views(world, options)
     cameras = cropped_views(world, views, options)
     shades = _shades(world, cameras, settings)
+    if settings.gloss > 0.0:
+        shades = tuple(
+            _glossy(shade, camera, settings.gloss)
+            for shade, camera in zip(shades, cameras, strict=True)
+        )
     backdrop = _backdrop(world.mesh, options.seed, settings)
     encoded: dict[str, bytes] = {}
     photos = []
@@ -85,6 +98,10 @@ def make_scene(options: SceneOptions) -> Scene:
         linear = render_linear(world.mesh, camera, shades[index], backdrop)
         if index == len(cameras) - 1 and settings.occluder_share > 0.0:
             linear = occluded(linear, settings.occluder_share, options.seed)
+        if index == len(cameras) - 1 and settings.foliage_share > 0.0:
+            linear = behind_leaves(linear, settings.foliage_share, options.seed)
+        if settings.haze > 0.0:
+            linear = hazy(linear, settings.haze, [options.seed, index])
         pixels = expose(linear, index, options.seed, settings)
         stem = f"{options.kind}-{index + 1}"
         if options.n_photos == 2:
@@ -94,7 +111,7 @@ def make_scene(options: SceneOptions) -> Scene:
         photos.append(Photo(name, decode_photo(data)))
     return Scene(
         name=options.kind,
-        mesh=_with_noise(world, settings.mesh_noise, options.seed),
+        mesh=scanned(world.mesh, settings, options.seed),
         photos=tuple(photos),
         cameras=cameras,
         rough_cameras=tuple(
@@ -176,6 +193,21 @@ def _shades(
     return tuple(shades)
 
 
+def _glossy(shade: Shade, camera: Camera, gloss: float) -> Shade:
+    """With the highlight of a lamp above and beside the camera (Blinn's model)."""
+    right, down, forward = camera.R_cam_world
+    to_lamp = -(0.6 * right + 0.8 * down + forward)
+    to_lamp /= np.linalg.norm(to_lamp)
+
+    def glossy(hits: Hits) -> Float[np.ndarray, "n 3"]:
+        half = to_lamp - hits.directions
+        half /= np.linalg.norm(half, axis=1, keepdims=True)
+        cosine = np.clip(np.einsum("nd,nd->n", hits.normals, half), 0.0, 1.0)
+        return shade(hits) + gloss * (cosine**20)[:, None]
+
+    return glossy
+
+
 def _lit(world: World, light: Float[np.ndarray, "n"]) -> Shade:
     def shade(hits: Hits) -> Float[np.ndarray, "n 3"]:
         corners = light[world.mesh.faces[hits.face]]
@@ -212,14 +244,3 @@ def _soft_grey(camera: Camera, pixels: np.ndarray) -> Float[np.ndarray, "n 3"]:
     offsets = (pixels - middle) / camera.width
     fall = 1.0 - 1.1 * np.einsum("nd,nd->n", offsets, offsets)
     return fall[:, None] * np.array([0.085, 0.094, 0.106])
-
-
-def _with_noise(world: World, fraction: float, seed: int) -> Mesh:
-    """The mesh with each vertex off along its normal by ``fraction`` of the diagonal."""
-    if fraction == 0.0:
-        return world.mesh
-    mesh = world.mesh
-    rng = np.random.default_rng([seed, 0x3E54])
-    errors = fraction * mesh.diagonal * rng.standard_normal(len(mesh.vertices))
-    vertices = mesh.vertices + errors[:, None] * mesh.vertex_normals
-    return dataclasses.replace(mesh, vertices=vertices.astype(np.float32))

@@ -1,6 +1,7 @@
 """From light to the bytes of a photo: occluder, lens, exposure, noise, encoding."""
 
 import io
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -31,6 +32,41 @@ def occluded(
     grain = noise(places, 30.0 / width, octaves=4)[:, 1].reshape(height, width, 1)
     colour = np.array([0.16, 0.21, 0.12]) * (1.0 + 0.25 * grain)
     return (cover * colour + (1.0 - cover) * linear).astype(np.float32)
+
+
+def behind_leaves(
+    linear: Float[np.ndarray, "h w 3"], share: float, seed: int
+) -> Float[np.ndarray, "h w 3"]:
+    """The picture with ``share`` of it hidden by leaves, most of them near one side."""
+    rng = np.random.default_rng([seed, 0x1EAF])
+    height, width = linear.shape[:2]
+    linear = np.array(linear, dtype=np.float32)
+    hidden = np.zeros((height, width), dtype=np.uint8)
+    side = rng.choice([-1.0, 1.0])
+    while hidden.mean() < share:
+        x = 0.5 * width * (1.0 + side * (1.0 - abs(rng.normal(0.0, 0.5))))
+        place = (round(x), round(rng.uniform(0.0, height)))
+        axes = (round(width * rng.uniform(0.008, 0.02)), round(width * 0.006) + 1)
+        colour = np.array([0.06, 0.14, 0.04]) * rng.uniform(0.5, 1.5)
+        turn = rng.uniform(0.0, 180.0)
+        cv2.ellipse(linear, place, axes, turn, 0.0, 360.0, colour.tolist(), -1)
+        cv2.ellipse(hidden, place, axes, turn, 0.0, 360.0, (1,), -1)
+    return linear
+
+
+def hazy(
+    linear: Float[np.ndarray, "h w 3"], most: float, seed: Sequence[int]
+) -> Float[np.ndarray, "h w 3"]:
+    """The picture behind a veil that takes up to ``most`` of it, here more, there less."""
+    height, width = linear.shape[:2]
+    grid_x, grid_y = np.meshgrid(np.arange(width), np.arange(height))
+    places = np.column_stack([grid_x.ravel(), grid_y.ravel(), np.zeros(grid_x.size)])
+    noise = SolidNoise(int(np.random.default_rng(seed).integers(1 << 31)))
+    field = noise(places, 2.0 / width, octaves=1)[:, 0].reshape(height, width)
+    low, high = field.min(), field.max()
+    veil = most * (field - low) / max(float(high - low), 1e-12)
+    grey = np.array([0.55, 0.6, 0.66])
+    return (linear + veil[:, :, None] * (grey - linear)).astype(np.float32)
 
 
 def expose(
