@@ -17,7 +17,7 @@
   .pr-bar button{font:inherit;color:inherit;background:rgba(128,140,155,.16);border:0;
     border-radius:5px;padding:4px 6px;cursor:pointer;line-height:1.25}
   .pr-bar button:hover{background:rgba(128,140,155,.32)}
-  .pr-bar button[aria-pressed=true]{background:#1d9e90;color:#fff}
+  .pr-bar button[aria-pressed=true]{background:#26a69a;color:#04211e;font-weight:600}
   .pr-bar input{flex:1 1 60px;min-width:50px;accent-color:#1d9e90}
   .pr-bar.pr-foot{flex-wrap:nowrap;align-items:flex-start;line-height:1.35;min-height:2.7em}
   .pr-hint{flex:1;opacity:.75}

@@ -72,7 +72,16 @@
     },
     { capture: true, passive: false },
   );
-  window.addEventListener("pointerdown", (event) => over(event) && setSpeeds(), true);
+  window.addEventListener(
+    "pointerdown",
+    (event) => {
+      if (over(event)) setSpeeds();
+      // Its listener on the canvas is a passive one, in which viser prevents the default
+      // all the same: without effect, but for a complaint in the console.
+      if (event.target === viewer()?.canvas) event.preventDefault = () => {};
+    },
+    true,
+  );
   // The keys that walk would leave the camera; arrows turn by a tenth of what is seen.
   const walk = /^(Key[WASDQE]|Arrow(Left|Right|Up|Down))$/;
   window.addEventListener(

@@ -29,6 +29,16 @@ def photo_folder(tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="session", autouse=True)
+def projects_are_kept_apart(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[None]:
+    """No test, nor a program that it starts, touches the user's own projects."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PHOTOREG_DATA", str(tmp_path_factory.mktemp("data")))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def parallel_functions_are_for_the_main_thread() -> Iterator[None]:
     """Refuses what numba's workqueue layer, macOS's default, aborts the process for.
 

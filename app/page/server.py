@@ -19,7 +19,7 @@ import viser
 from app.control.camera_claims import CameraClaims
 from app.control.controller import Controller
 from app.model.failures import is_news, log_failure
-from app.model.markup import escaped, sending
+from app.model.markup import escaped, mounted, sending
 from app.model.session import Session, blinked, with_entry
 from app.model.state import Job, Notice, State
 from app.panels.align import AlignPanel
@@ -36,7 +36,7 @@ from app.scene.markers import Pull
 from app.scene.nodes import SceneNodes
 from app.scene.viewport import Viewport
 from app.web.access import AccessControl, start_viser
-from app.web.bridge import Bridge
+from app.web.bridge import Bridge, Values
 from app.web.controls import (
     BRAND,
     guarded,
@@ -48,6 +48,7 @@ from app.web.controls import (
 )
 from app.web.help import Help
 from app.web.hints import button_hints
+from app.web.layout import panel_layout
 from app.web.pending_messages import hear_out
 from app.web.uploads import limit_uploads
 from app.web.widgets import Tool, Tools
@@ -146,9 +147,10 @@ class Page:
         gui.main_panel.set_width(324)
         self._bridge = bridge = Bridge(gui, self._limits)
         bridge.on("stop", lambda *_: self.controller.stop_job())
+        bridge.on("exporting", self._on_exporting, on=bool)
         self._status = gui.add_html("")
         self._meter = gui.add_html("")
-        self._travel = Tools(gui, bridge, "", (), self._on_travel)
+        self._travel = Tools(gui, bridge, "", (), self._on_travel, head=True)
         tabs = gui.add_tab_group()
         with tabs.add_tab("1 Data"):
             project = ProjectPanel(gui, self.controller)
@@ -158,6 +160,7 @@ class Page:
         with tabs.add_tab("3 Refine"):
             refine = RefinePanel(gui, self.controller)
         with tabs.add_tab("4 Export"):
+            gui.add_html(mounted("sight", act="exporting"))
             export = ExportPanel(gui, self.controller, bridge)
         left = gui.add_panel()
         with left.add_tab("Overlay", viser.Icon.LAYERS_INTERSECT):
@@ -183,6 +186,8 @@ class Page:
         self.server.scene.on_click()(cast(Any, clicked))
 
         gui.add_html(button_hints(gui))
+        gui.add_html(panel_layout(gui, left))
+        self._tour = gui.add_html("")
         self._view_order = align.view_order
         self._command("Undo", "cmd/ctrl", self.session.undo)
         self._command("Redo", "cmd/ctrl+shift", self.session.redo)
@@ -192,6 +197,8 @@ class Page:
         keys = gui.add_command("Keys and mouse", hotkey=question, modifier="shift")
         plain = gui.add_command("Help", hotkey=question)
         whole = gui.add_command("The whole photo (Look through)", hotkey="0")
+        frame = gui.add_command("Frame all", hotkey="H")
+        cameras = gui.add_command("Show or hide the cameras", hotkey="C")
 
         @keys.on_trigger
         @plain.on_trigger
@@ -207,21 +214,43 @@ class Page:
             if viewport is not None:
                 viewport.fit()
 
+        @frame.on_trigger
+        @guarded
+        def _(event: viser.CommandEvent) -> None:
+            if event.client is not None:
+                self._on_travel(event.client, "frame")
+
+        @cameras.on_trigger
+        @guarded
+        def _(event: viser.CommandEvent) -> None:
+            if event.client is not None:
+                self._on_travel(event.client, "cameras")
+
     def _on_picking(self, browser: int, on: bool) -> None:
         viewport = self._viewports.get(browser)
         if viewport is not None:
             viewport.pick(on)
 
+    def _on_exporting(self, values: Values, client: viser.ClientHandle) -> None:
+        viewport = self._viewports.get(client.client_id)
+        if viewport is not None:
+            viewport.export(values["on"])
+
     def _on_marker(self, pull: Pull) -> None:
         self._points.on_marker_pull(self.scene.frame, pull)
 
     def _on_travel(self, client: viser.ClientHandle, value: str) -> None:
+        viewport = self._viewports.get(client.client_id)
         if value == "help":
             self._help.toggle(client)
         elif value == "undo":
             self.session.undo()
-        else:
+        elif value == "redo":
             self.session.redo()
+        elif viewport is not None and value == "frame":
+            viewport.frame_all()
+        elif viewport is not None:
+            viewport.toggle_cameras()
 
     def _command(
         self, label: str, modifier: Any, action: Callable[[], str | None]
@@ -295,6 +324,8 @@ class Page:
             put(self._status, "content", status_line(state, is_kept))
             put(self._meter, "content", meter_html(state))
             self._travel.show(travel_tools(state))
+            # The truth is known of the demo alone.
+            put(self._tour, "content", mounted("tour") if state.document.truth else "")
             for panel in self._run_panels if is_brief else self._panels:
                 panel.show(state)
             if not self._is_scene_late:
@@ -412,17 +443,19 @@ def travel_tools(state: State) -> list[Tool]:
             "undo",
             "Undo" if undo is None else f"Undo: {undo}",
             viser.Icon.ARROW_BACK_UP,
-            f" {undo or 'Undo'}",
+            f" {'Undo' if undo is None else f'Undo: {undo}'}",
             undo is not None and idle,
         ),
         Tool(
             "redo",
             "Redo" if redo is None else f"Redo: {redo}",
             viser.Icon.ARROW_FORWARD_UP,
-            "" if redo is None else f" {redo}",
+            "" if redo is None else f" Redo: {redo}",
             redo is not None and idle,
         ),
-        Tool("help", "Keys and mouse (?)", viser.Icon.KEYBOARD),
+        Tool("frame", "Frame all (H)", viser.Icon.FOCUS_CENTERED),
+        Tool("cameras", "Show or hide the cameras (C)", viser.Icon.VIDEO),
+        Tool("help", "Help: keys, mouse, tour (?)", viser.Icon.HELP),
     ]
 
 
@@ -443,13 +476,13 @@ def status_line(state: State, is_kept: bool = True) -> str:
     elif run.status == "review":
         colour, text = "#2dbeaf", "Refined. Accept or revert in tab 3."
     elif state.document.mesh is None:
-        colour, text = "#98a2b3", "Open a mesh to begin."
+        colour, text = "#98a2b3", "Drop a scan and your photos on this page."
     elif state.worker:
         colour, text = "#98a2b3", f"{state.worker} …"
     else:
         colour, text = "#2dbeaf", state.note or "Ready."
     return (
-        '<div style="display:flex;flex-wrap:wrap;align-items:center;gap:8px;'
+        f'{mounted("head")}<div style="display:flex;flex-wrap:wrap;align-items:center;gap:8px;'
         'margin:10px 12px 8px;font-size:13px;line-height:1.3"><span style="width:9px;'
         f'height:9px;border-radius:50%;background:{colour};flex:none"></span>'
         '<span style="flex:1;min-width:0;overflow-wrap:anywhere" role="status">'

@@ -194,6 +194,12 @@ class DataPanel:
         if entry.mask_png is not None:
             facts.append("mask")
         last = index == len(state.photos) - 1
+        at_name = (
+            f'<button title="Rename {name}" aria-label="Rename {name}" '
+            f'style="{_SMALL}{_DIM if busy else ""}" {"disabled" if busy else ""} '
+            "data-rename>✎</button>"
+            + _button("✕", f"Remove {name}", busy, "remove", entry)
+        )
         buttons = (
             _button("▲", f"Move {name} up", busy or index == 0, "shift", entry, by=-1)
             + _button("▼", f"Move {name} down", busy or last, "shift", entry, by=1)
@@ -213,21 +219,20 @@ class DataPanel:
                 entry,
                 on=not entry.is_cropped,
             )
-            + f'<button title="Rename {name}" aria-label="Rename {name}" '
-            f'style="{_SMALL}{_DIM if busy else ""}" {"disabled" if busy else ""} '
-            "data-rename>✎</button>"
-            + _button("✕", f"Remove {name}", busy, "remove", entry)
         )
         return (
-            f'<div role="button" aria-label="Photo {name}" data-photo="{name}" '
-            f'aria-pressed="{str(index == state.selected).lower()}" '
+            f'<div data-photo="{name}" '
             f'style="{_CARD}cursor:pointer;border-left:3px solid {edge}" '
             f"{sending('select', photo=entry.name)}>"
-            f'<img src="{picture}" alt="" style="width:64px;height:56px;'
-            f'object-fit:cover;border-radius:4px;{faded}">'
-            f'<div style="min-width:0;flex:1"><div style="{_NAME};{faded}" '
+            # A click anywhere on the card is one on the picture, its only button for this.
+            f'<button title="Work on {name}" aria-label="Photo {name}" '
+            f'aria-pressed="{str(index == state.selected).lower()}" style="{_PICTURE}">'
+            f'<img src="{picture}" alt="" style="width:64px;height:56px;display:block;'
+            f'object-fit:cover;border-radius:4px;{faded}"></button>'
+            f'<div style="min-width:0;flex:1"><div style="display:flex;gap:3px">'
+            f'<div style="{_NAME};flex:1;min-width:0;{faded}" '
             f'class="pr-name" title="{name}">{index + 1}. {escaped(entry.name)}'
-            f'</div><div style="{_FACTS};line-height:1.35">{" · ".join(facts)}<br>'
+            f'</div>{at_name}</div><div style="{_FACTS};line-height:1.35">{" · ".join(facts)}<br>'
             f"{escaped(focal_text(entry))}</div>"
             f'<div style="display:flex;gap:3px;margin-top:4px">{buttons}</div>'
             "</div></div>"
@@ -261,13 +266,19 @@ def _button(
 
 _SMALL = (
     "font:inherit;font-size:11px;color:inherit;background:rgba(128,140,155,.2);"
-    "border:0;border-radius:4px;padding:1px 6px;cursor:pointer;line-height:1.5"
+    "border:0;border-radius:4px;padding:1px 6px;cursor:pointer;line-height:1.5;"
+    "white-space:nowrap;flex:none"
 )
 _DIM = ";opacity:.35;cursor:default"
 _COLUMN = "display:flex;flex-direction:column;gap:6px;margin:2px 12px 4px"
 _CARD = (
     "display:flex;gap:10px;align-items:center;padding:6px 8px;border-radius:6px;"
     "background:rgba(128,140,155,.14);"
+)
+_PICTURE = "border:0;padding:0;background:none;border-radius:4px;cursor:pointer"
+_EMPTY = (
+    "border:2px dashed #2dbeaf;border-radius:10px;padding:22px 12px;text-align:center;"
+    "font-size:13px;line-height:1.6"
 )
 _NAME = (
     "font-size:13px;font-weight:600;white-space:nowrap;overflow:hidden;"
@@ -325,13 +336,16 @@ def _big_button(
 def _mesh_card(state: State) -> str:
     mesh = state.document.mesh
     if mesh is None:
-        name, facts = "No mesh yet", "Open one to begin."
-    else:
-        size = mesh.bounds[1] - mesh.bounds[0]
-        name = escaped(mesh.name)
-        facts = f"{len(mesh.faces):,} triangles · " + " × ".join(
-            f"{side:.3g}" for side in size
+        return (
+            f'<div style="{_COLUMN}"><div style="{_EMPTY}">'
+            '<b style="font-size:15px">Drop a scan and your photos here</b><br>'
+            "or anywhere on this page, all at once.</div></div>"
         )
+    size = mesh.bounds[1] - mesh.bounds[0]
+    name = escaped(mesh.name)
+    facts = f"{len(mesh.faces):,} triangles · " + " × ".join(
+        f"{side:.3g}" for side in size
+    )
     return (
         f'<div style="{_COLUMN}"><div style="{_CARD}"><div style="min-width:0">'
         f'<div style="{_NAME}">{name}</div>'

@@ -1,6 +1,6 @@
 """The line that is always on screen: how well the photos agree, in a number and words."""
 
-from app.model.markup import escaped
+from app.model.markup import escaped, mounted
 from app.model.state import Agreement, State
 from photoreg.registration.verdict import Grade
 
@@ -62,7 +62,7 @@ def closeness(found: Agreement) -> tuple[str, str]:
 
 def _bar(share: float, colour: str, title: str, text: str) -> str:
     return (
-        f'<div title="{MEANING}" style="margin:0 12px 8px;line-height:1.35">'
+        f'{mounted("head")}<div title="{MEANING}" style="margin:0 12px 8px;line-height:1.35">'
         '<div style="display:flex;align-items:center;gap:10px;font-size:13px">'
         f'<span style="font-weight:600;white-space:nowrap">{escaped(title)}</span>'
         '<span style="flex:1;height:6px;border-radius:3px;overflow:hidden;'

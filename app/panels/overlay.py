@@ -96,7 +96,7 @@ class OverlayPanel:
         self._plot = gui.add_uplot(
             EMPTY_CURVE,
             SERIES,
-            title="Cost relative to the start, by step",
+            title="Cost, % of the start, by step",
             scales={"x": {"time": False}, "y": {"distr": 3}},
             axes=(
                 {"stroke": INK, "grid": {"stroke": GRID}},
@@ -176,12 +176,13 @@ def curve_arrays(curve: tuple[CurvePoint, ...]) -> tuple[np.ndarray, ...]:
     """The curve as the plot takes it; NaN where there is nothing to draw."""
 
     def values(of: list[float | None]) -> np.ndarray:
-        return np.array([np.nan if v is None else v for v in of], dtype=np.float64)
+        # In per cent: the plot writes numbers below a thousandth as 0.
+        return np.array([np.nan if v is None else 100.0 * v for v in of])
 
     return (
         np.array([float(point.step) for point in curve]),
-        np.array([point.best for point in curve]),
-        np.array([point.median for point in curve]),
+        values([point.best for point in curve]),
+        values([point.median for point in curve]),
         values([point.low for point in curve]),
         values([point.high for point in curve]),
         values([p.best if p.mark == "restart" else None for p in curve]),

@@ -14,6 +14,9 @@ SHARE = 0.92
 """Share of the canvas that is filled, the gizmos included."""
 
 OBJECT_POINTS = 400
+LONGEST_ARROW = 0.7
+"""Of half the canvas's shorter side: the most room that an arrow is given."""
+
 OFF_CENTRE_PRICE = 0.35
 """How much larger the object must be to stand at the canvas's edge."""
 
@@ -45,7 +48,9 @@ def home_view(
         alone: The cameras are not shown; the object alone fills the canvas, seen from
             their side.
     """
-    reach = 2.0 * gizmo_share * np.tan(0.5 * fov_rad)
+    # Where they are too long for the canvas, as upright on a tablet, they may be cut off.
+    reach = min(2.0 * gizmo_share, LONGEST_ARROW * min(aspect, 1.0))
+    reach *= np.tan(0.5 * fov_rad)
     up = np.array(state.document.up)
     mesh = state.document.display_mesh
     if mesh is None:

@@ -76,7 +76,9 @@ class Viewport:
         """``wake`` asks for ``show`` on the thread that paints."""
         self.client = client
         self.mode: Mode = "free"
-        self._is_picking = False
+        self._is_picking = self._is_exporting = False
+        self._wants_cameras: bool | None = None
+        """Whether the user wants to see the cameras; None: as the open tabs have it."""
         self.zoom = 1.0
         """In *Look through*: how much larger than the whole photo."""
         self._controller = controller
@@ -136,12 +138,42 @@ class Viewport:
         A view that nobody has turned yet shows the object alone, as large as it goes.
         """
         with self._lock:
-            if on == self._is_picking:
-                return
-            self._is_picking = on
+            if on != self._is_picking:
+                self._is_picking = on
+                self._on_other_tab()
+
+    def export(self, on: bool) -> None:
+        """The Export tab is on screen, or no longer is: it is about the object alone."""
+        with self._lock:
+            if on != self._is_exporting:
+                self._is_exporting = on
+                self._on_other_tab()
+
+    def toggle_cameras(self) -> None:
+        """Hides the cameras in this browser where they are shown, and the other way."""
+        with self._lock:
+            self._wants_cameras = not self._shows_cameras
             self._hide()
+
+    def frame_all(self) -> None:
+        """Everything in the frame again: the scene, or the whole photo."""
+        with self._lock:
             if self.mode == "free":
-                self._keep_home(self._session.state)
+                self.go_home(self._session.state)
+            self.fit()
+
+    @property
+    def _shows_cameras(self) -> bool:
+        if self._wants_cameras is not None:
+            return self._wants_cameras
+        return not (self._is_picking or self._is_exporting)
+
+    def _on_other_tab(self) -> None:
+        if self._wants_cameras:
+            self._wants_cameras = None
+        self._hide()
+        if self.mode == "free":
+            self._keep_home(self._session.state)
 
     def fit(self) -> None:
         """Look through: the whole photo again."""
@@ -195,9 +227,9 @@ class Viewport:
             FREE_FOV,
             aspect,
             gizmo_share,
-            alone=self._is_picking,
+            alone=not self._shows_cameras,
         )
-        self._at_home = (position, aspect, self._is_picking)
+        self._at_home = (position, aspect, not self._shows_cameras)
         with self.client.atomic():
             _place(self.client, position, look_at, np.array(state.document.up))
             camera.fov = FREE_FOV
@@ -206,12 +238,12 @@ class Viewport:
         """Fits the first view again when the canvas, or what is shown, has changed."""
         if self._at_home is None:
             return
-        position, aspect, was_picking = self._at_home
+        position, aspect, was_alone = self._at_home
         camera = self.client.camera
         if np.abs(np.array(camera.position) - position).max() > HOME_TOLERANCE:
             return  # The user has moved on, or the view is not there yet.
         change = camera.image_width / max(camera.image_height, 1) / aspect - 1.0
-        if abs(change) > 0.02 or was_picking != self._is_picking:
+        if abs(change) > 0.02 or was_alone == self._shows_cameras:
             self.go_home(state)
 
     # What follows from a change of state.
@@ -221,7 +253,8 @@ class Viewport:
         with self._lock:
             # The state may have moved on while this call waited for the lock.
             state = self._session.state
-            scope = (state.document.mesh, len(state.document.photos))
+            document = state.document
+            scope = (document.mesh, len(document.photos), document.up)
             if self._framed != scope:
                 self._framed = scope
                 self._home = None
@@ -352,9 +385,9 @@ class Viewport:
         A node of the client of the same name lies over the server's.
         """
         names = ["/clear"] if self.mode == "free" else ["/solid", "/cameras"]
-        if self.mode == "free" and self._is_picking:
-            # A camera that its points have just placed stands before the object, and
-            # its gizmo would take the next click.
+        if self.mode == "free" and not self._shows_cameras:
+            # While points are clicked, a camera that they have just placed stands before
+            # the object, and its gizmo would take the next click.
             names.append("/cameras")
         for handle in self._hidden:
             handle.remove()

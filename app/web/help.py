@@ -1,11 +1,13 @@
-"""The page that `?` opens: every key and what the mouse does."""
+"""The page that `?` opens: every key, what the mouse does, the tour, and what this is."""
 
 from typing import Any
 
 import viser
 
-from app.model.markup import escaped
+from app.model.markup import escaped, mounted
 from app.web.controls import guarded
+from app.web.widgets import help_line
+from photoreg import __version__
 
 SECTIONS = (
     (
@@ -17,6 +19,8 @@ SECTIONS = (
             ("N M", "bring the object nearer, take it farther"),
             ("U O", "roll the camera left, right"),
             ("F V", "zoom in, out; the object keeps its size"),
+            ("H", "frame all: the object and the cameras"),
+            ("C", "show or hide the cameras"),
             ("Shift · Alt with these", "ten times coarser · ten times finer"),
             ("Ctrl+K", "all commands, to be searched"),
             ("?", "this help"),
@@ -85,11 +89,21 @@ def help_html() -> str:
     )
 
 
+def about_html() -> str:
+    """Which photoreg this is, and under which licence."""
+    return (
+        f"photoreg {escaped(__version__)}, free software under the MIT licence: lays "
+        "photographs onto a scanned surface, precisely. <b>photoreg --help</b> lists the "
+        "commands; the documentation has tutorials and a list of symptoms."
+    )
+
+
 class Help:
     """Opens the help, once in each browser."""
 
     def __init__(self) -> None:
         self._open: dict[int, Any] = {}
+        self._tours: dict[int, viser.GuiHtmlHandle] = {}
 
     def toggle(self, client: viser.ClientHandle) -> None:
         """Opens it, or closes it where it is open."""
@@ -97,11 +111,28 @@ class Help:
         if modal is not None and not modal.closed:
             modal.close()
             return
-        modal = client.gui.add_modal("Keys and mouse")
+        modal = client.gui.add_modal("Help")
         self._open[client.client_id] = modal
         with modal:
             client.gui.add_html(help_html())
+            client.gui.add_html(help_line(about_html()))
+            tour = client.gui.add_button(
+                "Tour of the page",
+                color="gray",
+                hint="The four hints that the demo begins with.",
+            )
             close = client.gui.add_button("Close", color="gray")
+
+        @tour.on_click
+        @guarded
+        def _(_: viser.GuiEvent) -> None:
+            self.toggle(client)
+            known = self._tours.pop(client.client_id, None)
+            if known is not None:
+                known.remove()
+            self._tours[client.client_id] = client.gui.add_html(
+                mounted("tour", again="yes")
+            )
 
         @close.on_click
         @guarded
@@ -111,3 +142,4 @@ class Help:
     def forget(self, client: viser.ClientHandle) -> None:
         """The browser has left."""
         self._open.pop(client.client_id, None)
+        self._tours.pop(client.client_id, None)

@@ -13,7 +13,7 @@ from typing import Any
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
-SCRIPTS = ("page", "compare", "picker", "view")
+SCRIPTS = ("page", "layout", "compare", "picker", "view", "tour")
 """Files of static/, in the order in which they run."""
 
 Hook = Callable[[ServerConnection, Request], Any]

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import viser
 from viser._icons import svg_from_icon
 
-from app.model.markup import escaped, sending
+from app.model.markup import escaped, mounted, sending
 from app.web.bridge import Bridge, Values
 from app.web.controls import put
 from photoreg.errors import InputError
@@ -135,8 +135,11 @@ class Tools:
         tools: Sequence[Tool],
         on_press: Heard,
         repeat: bool = False,
+        head: bool = False,
     ) -> None:
+        """``head``: it stays on screen while its panel scrolls."""
         self._label = label
+        self._head = mounted("head") if head else ""
         self._repeat = repeat
         self._values: set[str] = set()
         self._act = _listen(bridge, on_press, lambda value: value in self._values)
@@ -153,8 +156,8 @@ class Tools:
                 (_holding if self._repeat else _sending)(self._act, tool.value),
                 (_icon(tool.icon) if tool.icon else "") + escaped(tool.label),
                 f'aria-label="{escaped(tool.title)}" title="{escaped(tool.title)}"',
-                f"flex:{1 if tool.label or not worded else '0 0 34px'};padding:4px 3px"
-                ";text-align:center",
+                f"flex:{1 if tool.label or not worded else '0 0 30px'};padding:4px 3px"
+                ";text-align:center;white-space:normal",
                 tool.enabled,
             )
             for tool in tools
@@ -165,7 +168,8 @@ class Tools:
         put(
             self._html,
             "content",
-            f'<div style="{ROW}">{label}<div style="{TROUGH};flex-wrap:nowrap">'
+            f'{self._head}<div style="{ROW}">{label}'
+            f'<div style="{TROUGH};flex-wrap:nowrap">'
             f"{buttons}</div></div>",
         )
         put(self._html, "visible", visible)

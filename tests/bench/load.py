@@ -206,9 +206,9 @@ class Watcher:
 
     def _read(self, text: str) -> None:
         """Looks in the page's HTML for the help's button and the photo chosen."""
-        if not self._help and "Keys and mouse" in text:
+        if not self._help and "widget-" in text:
             found = re.search(
-                r'photoreg\.send\("(widget-\d+)",\{"value": "help"', html.unescape(text)
+                r'\["(widget-\d+)", \{"value": "help"', html.unescape(text)
             )
             self._help = found[1] if found else ""
         if "data-photo=" not in text:

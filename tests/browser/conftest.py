@@ -1,5 +1,7 @@
 """A browser for all tests, and the app with a page on it."""
 
+import logging
+import re
 from collections.abc import Iterator
 from typing import Protocol
 
@@ -12,7 +14,13 @@ from app.model.session import Session
 from app.model.state import Document, PhotoEntry, State
 from app.page.server import Page
 from tests.browser.app import App
-from tests.browser.driver import COARSE, PANELS_WITHOUT_GL, Driver, launch
+from tests.browser.driver import (
+    COARSE,
+    COMPLAINTS,
+    PANELS_WITHOUT_GL,
+    Driver,
+    launch,
+)
 
 
 class OpenApp(Protocol):
@@ -27,6 +35,36 @@ def chromium() -> Iterator[Browser]:
         browser = launch(playwright, PANELS_WITHOUT_GL)
         yield browser
         browser.close()
+
+
+OF_VISER = (r"ERR_FILE_NOT_FOUND \(blob:",)
+"""Complaints about viser's own: it takes a picture's address back when the next one comes,
+read or not."""
+
+
+@pytest.fixture(autouse=True)
+def nothing_goes_wrong_unseen(
+    request: pytest.FixtureRequest, caplog: pytest.LogCaptureFixture
+) -> Iterator[None]:
+    """Fails where a page's console or the server's log had an error that none expected.
+
+    ``pytest.mark.errors(pattern, ...)`` names those that a test provokes.
+    """
+    COMPLAINTS.clear()
+    yield
+    logged = [
+        record.getMessage()
+        for record in caplog.get_records("call")
+        if record.levelno >= logging.ERROR
+    ]
+    marks = request.node.iter_markers("errors")
+    expected = [*OF_VISER, *(pattern for mark in marks for pattern in mark.args)]
+    found = [
+        text
+        for text in (*COMPLAINTS, *logged)
+        if not any(re.search(pattern, text) for pattern in expected)
+    ]
+    assert not found, "\n".join(found)
 
 
 def _opening(chromium: Browser) -> Iterator[OpenApp]:

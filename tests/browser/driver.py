@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from playwright.sync_api import Browser, Page, Playwright
+from playwright.sync_api import Browser, ConsoleMessage, Page, Playwright
 
 from tests.browser.ensure_chromium import find_chromium
 
@@ -65,6 +65,21 @@ def wait_until(
         time.sleep(poll_s)
 
 
+COMPLAINTS: list[str] = []
+"""Errors that pages said in their console since they were last looked at."""
+
+
+def hear_complaints(page: Page) -> None:
+    """Collects what the page's scripts, and what it asked the server for, failed at."""
+
+    def on_console(said: ConsoleMessage) -> None:
+        if said.type == "error":
+            COMPLAINTS.append(f"{said.text} ({said.location.get('url', '')})")
+
+    page.on("console", on_console)
+    page.on("pageerror", lambda error: COMPLAINTS.append(str(error)))
+
+
 class Driver:
     """One browser page on the app."""
 
@@ -74,8 +89,13 @@ class Driver:
         address: str,
         pixel_ratio: float = COARSE,
         still: bool = True,
+        tour: bool = False,
     ) -> None:
+        """``tour``: as who has never seen the page, and gets its hints on the demo."""
         self.page = page
+        if not tour:
+            page.add_init_script("localStorage.setItem('photoreg-tour', 'seen')")
+        hear_complaints(page)
         if still:
             page.emulate_media(reduced_motion="reduce")
         # Else viser lowers the ratio on a slow machine while one measures.

@@ -252,6 +252,7 @@ def test_pages_of_another_origin_are_refused(app):
     assert " 403 " in rebound
 
 
+@pytest.mark.errors("failed")
 def test_what_nobody_foresaw_reaches_the_person_who_clicked_and_the_log(
     app, monkeypatch, caplog
 ):

@@ -40,7 +40,7 @@ def undo(app, before) -> None:
 def test_a_click_on_a_card_selects_its_photo(app):
     app.driver.click("Photo toy-1.png")
     wait_until(lambda: app.state.selected == 1, "the second is selected", 30)
-    pressed = app.driver.page.locator('[data-photo="toy-1.png"][aria-pressed=true]')
+    pressed = app.driver.page.locator('[data-photo="toy-1.png"] [aria-pressed=true]')
     pressed.wait_for()
 
 

@@ -26,6 +26,7 @@ def app(open_app_once):
     return open_to_refine(open_app_once)
 
 
+@pytest.mark.errors("The worker process died")
 def test_a_killed_worker_costs_no_work_and_the_next_run_ends(app):
     start(app)
     os.kill(app.controller.worker.pid, signal.SIGKILL)
@@ -55,6 +56,7 @@ class BreaksInPolish(RegistrationConfig):
         return super().__getattribute__(name)
 
 
+@pytest.mark.errors("Refine failed")
 def test_a_run_that_breaks_midway_is_told_kept_and_logged_and_goes_on(app, tmp_path):
     handler = log_into(tmp_path)
     assert handler is not None
@@ -112,6 +114,7 @@ class StarvesInPolish(RegistrationConfig):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits memory as Linux does")
+@pytest.mark.errors("Refine failed")
 def test_a_run_without_memory_for_its_polish_ends_and_the_next_one_works(app):
     worker = app.controller.worker
     fast = RegistrationConfig.preset("fast")

@@ -97,7 +97,7 @@ def test_a_camera_that_changes_sends_the_list_of_photos_once_and_without_them(pa
         # What is sent later than another change would have come with it.
         page.session.change(None, select(1))
         second = page.session.state.document.photos[1].name
-        chosen = f'data-photo="{second}" aria-pressed="true"'
+        chosen = f'aria-label="Photo {second}" aria-pressed="true"'
         wait_until(lambda: chosen in heard[-1], "the other photo is chosen")
     assert len([text for text in heard if focal in text]) == 2
     assert max(map(len, heard)) < 10_000

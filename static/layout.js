@@ -1,0 +1,166 @@
+// How the page keeps its shape: what is always to be seen stays while a panel scrolls,
+// panels make room on narrow screens, and questions are answered by keyboard and mouse as
+// everywhere. viser does none of these.
+(() => {
+  const { photoreg } = window;
+
+  // The rows marked as head, and the tabs below them, stay at the top of their panel.
+  const style = document.createElement("style");
+  style.textContent = `
+  .pr-stays{position:sticky;z-index:3;display:flow-root;
+    background-color:var(--mantine-color-body)}
+  .pr-stays:not([role]){box-shadow:0 -12px var(--mantine-color-body)}`;
+  document.head.append(style);
+  let staying = [];
+  let first = 0; // How far from its panel's top the first row is by itself.
+  const stack = () => {
+    const content = staying[0]?.closest(".mantine-ScrollArea-content");
+    if (!content) return;
+    const box = (element) => element.getBoundingClientRect();
+    if (!content.parentElement.scrollTop) first = box(staying[0]).top - box(content).top;
+    let top = first;
+    for (const row of staying) {
+      row.style.top = `${top}px`;
+      top += box(row).height;
+    }
+  };
+  const sizes = new ResizeObserver(stack);
+  photoreg.define("head", (element) => {
+    const content = element.closest(".mantine-ScrollArea-content");
+    const list = element.parentElement?.parentElement;
+    if (!content || !list) return;
+    const rows = [...list.children].filter((row) => row.querySelector("[data-kind=head]"));
+    const tabs = rows.at(-1)?.nextElementSibling?.querySelector("[role=tablist]");
+    staying.forEach((row) => row.classList.remove("pr-stays"));
+    sizes.disconnect();
+    staying = tabs ? [...rows, tabs] : rows;
+    for (const row of staying) {
+      row.classList.add("pr-stays");
+      sizes.observe(row);
+    }
+    // What clips what is beyond it would hold the rows; this clips the same.
+    for (let box = tabs?.parentElement ?? list; box !== content; box = box.parentElement)
+      if (getComputedStyle(box).overflow === "hidden") box.style.overflow = "clip";
+    stack();
+  });
+
+  // Below WIDE the panel at the left folds, below NARROW panels lie over the scene. Said to
+  // viser as its server would, in a run of our own: what somebody moves meanwhile stays.
+  const WIDE = 1100;
+  const NARROW = 900;
+  let count = 0;
+  const place = (type, uuid, values) => {
+    window.__viserMutable.messageQueue.push({
+      type: `GuiSetPanel${type}Message`,
+      uuid,
+      ...values,
+      counter: ++count,
+      run_id: "photoreg-layout",
+    });
+    window.__viserMutable.requestRender();
+  };
+  let panels = null;
+  let were = "wide";
+  const wide = window.matchMedia(`(min-width: ${WIDE}px)`);
+  const narrow = window.matchMedia(`(max-width: ${NARROW - 0.02}px)`);
+  const arrange = () => {
+    const now = wide.matches ? "wide" : narrow.matches ? "narrow" : "middle";
+    if (!panels || !window.__viserMutable || now === were) return;
+    const { left, main } = panels;
+    if (now === "narrow") {
+      place("Position", main, { position: { kind: "float", x: -8, y: 8 } });
+      place("Position", left, { position: { kind: "float", x: 8, y: 8 } });
+    } else if (were === "narrow") {
+      place("Position", main, { position: { kind: "edge", edge: "right" } });
+      place("Position", left, { position: { kind: "edge", edge: "left" } });
+    }
+    if (now === "wide" || were === "wide" || now === "narrow")
+      place("Collapsed", left, { collapsed: now !== "wide" });
+    were = now;
+  };
+  photoreg.define("panels", ({ dataset }) => {
+    panels = { left: dataset.left, main: dataset.main };
+    arrange();
+  });
+  for (const query of [wide, narrow]) query.addEventListener("change", arrange);
+
+  // Tells the server while a tab is on screen, however far it is scrolled.
+  const open = new Map();
+  const sight = new IntersectionObserver((entries) => {
+    for (const { target, isIntersecting } of entries) {
+      const act = open.get(target);
+      if (act.on !== isIntersecting) photoreg.send(act.name, { on: (act.on = isIntersecting) });
+    }
+  });
+  photoreg.define("sight", (element) => {
+    const tab = element.closest(".mantine-ScrollArea-content");
+    if (!tab || open.has(tab)) return;
+    open.set(tab, { name: element.dataset.act, on: false });
+    sight.observe(tab);
+  });
+
+  // Names for screen readers, and the keyboard for folds, which viser leaves out.
+  const ICONS = {
+    "tabler-icon-list-search": "All commands (Ctrl+K)",
+    "tabler-icon-adjustments": "The viewer's connection and scene",
+  };
+  const name = (element, text) => {
+    if (!element.getAttribute("aria-label")) element.setAttribute("aria-label", text);
+  };
+  const nameAll = () => {
+    for (const label of document.querySelectorAll("label[for]")) {
+      const row = label.parentElement?.parentElement?.parentElement;
+      const fields = row?.querySelectorAll("input,textarea,[role=slider]") ?? [];
+      for (const field of fields) if (field.id !== label.htmlFor) name(field, label.textContent);
+    }
+    for (const [icon, text] of Object.entries(ICONS)) {
+      const button = document.querySelector(`button:has(.${icon})`);
+      if (button) name(button, text);
+      if (button && !button.title) button.title = text;
+    }
+    for (const picture of document.querySelectorAll("img:not([alt])"))
+      picture.alt = "The photos laid over each other";
+    const folds = ".mantine-Paper-root:has(>.tabler-icon-chevron-down,>.tabler-icon-chevron-up)";
+    for (const fold of document.querySelectorAll(folds)) {
+      fold.setAttribute("role", "button");
+      fold.tabIndex = 0;
+      const closed = fold.querySelector(".tabler-icon-chevron-down") !== null;
+      fold.setAttribute("aria-expanded", String(!closed));
+    }
+  };
+  let naming = null;
+  new MutationObserver(() => {
+    naming ??= setTimeout(() => {
+      naming = null;
+      nameAll();
+    }, 150);
+  }).observe(document.body, { childList: true, subtree: true });
+  document.addEventListener("keydown", (event) => {
+    const fold = event.target.closest?.(".mantine-Paper-root[aria-expanded]");
+    if (fold !== event.target || (event.key !== "Enter" && event.key !== " ")) return;
+    event.preventDefault();
+    fold.click();
+  });
+
+  // Questions: Escape and a click beside them leave them, Enter in a field says yes. The
+  // button that leaves is the last, the one that says yes is before it.
+  const question = () => [...document.querySelectorAll(".mantine-Modal-content")].at(-1);
+  const buttons = () => [...(question()?.querySelectorAll("button.mantine-Button-root") ?? [])];
+  document.addEventListener(
+    "keydown",
+    (event) => {
+      if (!question() || event.isComposing) return;
+      if (event.key === "Escape") buttons().at(-1)?.click();
+      else if (event.key === "Enter" && event.target.matches?.("input:not([type=checkbox])"))
+        buttons().at(-2)?.click();
+      else return;
+      event.preventDefault();
+      event.stopPropagation();
+    },
+    true,
+  );
+  document.addEventListener("pointerdown", ({ target }) => {
+    const beside = target.closest?.(".mantine-Modal-inner,.mantine-Modal-overlay");
+    if (beside && !target.closest(".mantine-Modal-content")) buttons().at(-1)?.click();
+  });
+})();
