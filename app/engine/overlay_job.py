@@ -8,15 +8,8 @@ import numpy as np
 from app.engine.surface_job import LiveSurface
 from app.model.camera_moves import DisplayFrame
 from app.model.messages import SurfaceDrawn
-from app.model.pictures import (
-    Compare,
-    Compared,
-    OverlayView,
-    Picture,
-    Surface,
-)
-from app.model.state import same_camera
-from photoreg.geometry.camera import Camera
+from app.model.pictures import Compare, Compared, OverlayView, Picture, Surface
+from photoreg.geometry.camera import Camera, same_camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.projection_error import Truth
 from photoreg.imaging.photo import Photo

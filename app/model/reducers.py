@@ -17,9 +17,9 @@ from app.model.messages import (
 from app.model.pictures import Picture
 from app.model.run import Run
 from app.model.scene_files import first_names, with_cameras_of_file
-from app.model.state import Document, Job, State, same_camera
+from app.model.state import Document, Job, State
 from app.model.up_axis import guessed_up
-from photoreg.geometry.camera import Camera
+from photoreg.geometry.camera import Camera, same_camera
 from photoreg.report.cost_curve import CurvePoint
 
 MAX_CURVE_POINTS = 600

@@ -23,7 +23,7 @@ from app.model.pictures import (
 from app.model.run import KeptSearch, Run
 from photoreg.formats.cameras.camera_set import FormatName
 from photoreg.formats.models.encode_texture import PictureKind
-from photoreg.geometry.camera import Camera
+from photoreg.geometry.camera import Camera, same_camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.imaging.photo import Photo
 from photoreg.parameters.freedom import Freedom
@@ -34,29 +34,9 @@ from photoreg.registration.readiness import Readiness
 from photoreg.registration.verdict import Grade
 from photoreg.texture.config import TextureConfig
 
-SAME_CAMERA_TOLERANCE = 1e-10
-"""Relative difference under which two cameras count as the same. Poses pass through
-quaternions on their way to the page and back, which costs about 1e-15."""
-
 GizmoKind = Literal["move", "orbit"]
 UpAxis = Literal["auto", "y", "z"]
 HeldPart = Literal["pose", "focal", "principal_point", "lens"]
-
-
-def same_camera(a: Camera, b: Camera) -> bool:
-    """Whether two cameras are equal to rounding."""
-    if a is b:
-        return True
-    if (a.width, a.height, a.lens) != (b.width, b.height, b.lens):
-        return False
-    scale = max(float(np.abs(a.t_cam_world).max()), 1e-300)
-    return (
-        bool(np.abs(a.K - b.K).max() <= SAME_CAMERA_TOLERANCE * a.focal_px)
-        and bool(np.abs(a.R_cam_world - b.R_cam_world).max() <= SAME_CAMERA_TOLERANCE)
-        and bool(
-            np.abs(a.t_cam_world - b.t_cam_world).max() <= SAME_CAMERA_TOLERANCE * scale
-        )
-    )
 
 
 @dataclasses.dataclass(frozen=True)

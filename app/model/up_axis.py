@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 
 from app.model.camera_moves import first_camera, up_of
-from app.model.state import Document, PhotoEntry, State, UpAxis, same_camera
-from photoreg.geometry.camera import Camera
+from app.model.state import Document, PhotoEntry, State, UpAxis
+from photoreg.geometry.camera import Camera, same_camera
 from photoreg.geometry.mesh import Mesh
 
 Y_UP, Z_UP = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)

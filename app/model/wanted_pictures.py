@@ -2,8 +2,8 @@
 
 from app.model.messages import MeasureReach
 from app.model.pictures import Compare, Compared, OverlayView
-from app.model.state import State, same_camera
-from photoreg.geometry.camera import Camera
+from app.model.state import State
+from photoreg.geometry.camera import Camera, same_camera
 
 
 def wanted_view(state: State) -> OverlayView:

@@ -13,11 +13,7 @@ from pathlib import Path
 
 from app.control.controller import Controller
 from app.control.projects import Projects
-from app.engine.scene_opening import (
-    demo_folder,
-    open_files,
-    open_folder,
-)
+from app.engine.scene_opening import demo_folder, open_files, open_folder
 from app.model.scene_files import photo_files, with_cameras_of_file
 from app.model.session import Session
 from app.model.state import Document

@@ -6,9 +6,10 @@ from app.control.controller import Controller
 from app.model.markup import in_markdown
 from app.model.run import Run
 from app.model.session import looking_at, setting
-from app.model.state import State, same_camera
+from app.model.state import State
 from app.web.controls import guarded, put, put_value
 from photoreg.errors import RefinementError
+from photoreg.geometry.camera import same_camera
 from photoreg.words import in_words, number
 
 NOTHING = "No run yet"

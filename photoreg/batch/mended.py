@@ -3,14 +3,12 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-import numpy as np
-
 from photoreg.batch.record import ObjectRecord, load_record
 from photoreg.batch.run import CAMERAS
 from photoreg.errors import InputError, PhotoregError
 from photoreg.formats.cameras.cameras_json import CameraFile, load_cameras, save_cameras
 from photoreg.formats.cameras.registry import photos_by_name, read_cameras
-from photoreg.geometry.camera import Camera
+from photoreg.geometry.camera import Camera, same_camera
 from photoreg.project.folder import holds_project
 from photoreg.project.result import ProjectResult, read_result
 
@@ -28,6 +26,8 @@ def project_folder(folder: Path) -> Path:
 def mended_result(folder: Path, record: ObjectRecord | None) -> ProjectResult | None:
     """What a person mended in an object's project; None where nothing was.
 
+    A camera that differs by rounding alone was looked at, not mended.
+
     Args:
         folder: The object's, among the results.
         record: Of the object.
@@ -42,7 +42,7 @@ def mended_result(folder: Path, record: ObjectRecord | None) -> ProjectResult | 
         return None
     opened = _opened_with(folder, record)
     same = all(
-        name in opened and _is_same(camera, opened[name])
+        name in opened and same_camera(camera, opened[name])
         for name, camera in result.cameras.items()
     )
     return None if same else result
@@ -90,10 +90,3 @@ def _opened_with(folder: Path, record: ObjectRecord | None) -> Mapping[str, Came
         ).cameras
     except PhotoregError:
         return {}
-
-
-def _is_same(a: Camera, b: Camera) -> bool:
-    return a.lens == b.lens and all(
-        np.array_equal(getattr(a, name), getattr(b, name))
-        for name in ("K", "R_cam_world", "t_cam_world")
-    )

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
-import rich.console
 import rich.progress
 import tyro
 
@@ -14,14 +13,13 @@ from photoreg.batch.batch import BatchConfig, BatchFinished, BatchProgress, run_
 from photoreg.batch.collection import read_collection
 from photoreg.batch.settings import ModelKind, ObjectSettings
 from photoreg.batch.summary import PAGE, SUMMARY, SummaryRow, check_summary
+from photoreg.cli.console import TOLD, log, progress_bar
 from photoreg.cli.stopping import asked_to_stop
 from photoreg.errors import OutputError
 from photoreg.formats.models.encode_texture import PictureKind
 from photoreg.registration.config import PresetName, RegistrationConfig
 from photoreg.texture.config import TextureConfig
 from photoreg.words import in_words
-
-_log = rich.console.Console(stderr=True, highlight=False, soft_wrap=True)
 
 MOST_NAMED = 10
 """Objects that failed are named up to so many; the page has all."""
@@ -74,7 +72,10 @@ def make_batch_command(preset: RegistrationConfig) -> Callable[..., int]:
         _check_apart(collection, out)
         if out.is_dir():
             check_summary(out)
-        with _bar() as bar, asked_to_stop() as stop:
+        with (
+            progress_bar((rich.progress.MofNCompleteColumn(), TOLD)) as bar,
+            asked_to_stop() as stop,
+        ):
             task = bar.add_task("looking for what is done", total=len(things), told="")
             told_of_dashboard = False
             last = None
@@ -84,13 +85,13 @@ def make_batch_command(preset: RegistrationConfig) -> Callable[..., int]:
                         return _tell(event)
                     last = event
                     if event.dashboard and not told_of_dashboard:
-                        _log.print(f"Dask's dashboard: {event.dashboard}")
+                        log.print(f"Dask's dashboard: {event.dashboard}")
                         told_of_dashboard = True
                     _update(bar, task, event)
                     if stop.is_set():
                         break
         done = 0 if last is None else last.done
-        _log.print(
+        log.print(
             f"Stopped; {done} done. {out / PAGE} shows what is there; the same command "
             "goes on."
         )
@@ -109,17 +110,6 @@ def _check_apart(collection: Path, out: Path) -> None:
             f"The results cannot go to {out}, which is where the objects are. Name a "
             "folder elsewhere."
         )
-
-
-def _bar() -> rich.progress.Progress:
-    return rich.progress.Progress(
-        rich.progress.TextColumn("{task.description}"),
-        rich.progress.BarColumn(),
-        rich.progress.MofNCompleteColumn(),
-        rich.progress.TextColumn("{task.fields[told]}"),
-        console=_log,
-        transient=True,
-    )
 
 
 def _update(
@@ -147,20 +137,22 @@ def _tell(event: BatchFinished) -> int:
         key = row.verdict or row.status
         by_verdict[key] = by_verdict.get(key, 0) + 1
     counts = ", ".join(f"{n} {key}" for key, n in sorted(by_verdict.items()))
-    _log.print(
+    log.print(
         f"{now.total} objects: {counts}. {now.done} done now in "
         f"{in_words(now.elapsed_s)}, {now.known} before.",
         markup=False,
     )
     wrong = [r for r in event.rows if r.status in ("failed", "lost", "refused")]
     for row in wrong[:MOST_NAMED]:
-        _log.print(_in_words(row), markup=False)
+        log.print(_in_words(row), markup=False)
     if len(wrong) > MOST_NAMED:
-        _log.print(f"And {len(wrong) - MOST_NAMED} more, see {SUMMARY}.", markup=False)
-    _log.print(f"What needs a look: {event.page}", markup=False)
+        log.print(f"And {len(wrong) - MOST_NAMED} more, see {SUMMARY}.", markup=False)
+    log.print(f"What needs a look: {event.page}", markup=False)
     return 1 if wrong else 0
 
 
 def _in_words(row: SummaryRow) -> str:
-    log = f" Its log is {row.name}/log.txt; --retry tries again." if row.has_log else ""
-    return f"{row.name} ({row.status}): {row.sentence}{log}"
+    where = (
+        f" Its log is {row.name}/log.txt; --retry tries again." if row.has_log else ""
+    )
+    return f"{row.name} ({row.status}): {row.sentence}{where}"

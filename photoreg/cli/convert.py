@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
 
-import rich.console
 import tyro
 
+from photoreg.cli.console import log, print_notes
 from photoreg.errors import InputError
 from photoreg.formats.cameras.camera_set import CameraSet, FormatName
 from photoreg.formats.cameras.registry import (
@@ -21,8 +21,6 @@ from photoreg.formats.cameras.registry import (
     write_cameras,
 )
 from photoreg.formats.photos.registry import PHOTO_SUFFIXES
-
-_log = rich.console.Console(stderr=True, highlight=False, soft_wrap=True)
 
 
 def convert_command(
@@ -68,7 +66,7 @@ def convert_command(
         overwrite,
     )
     n = len(file.cameras)
-    _log.print(
+    log.print(
         f"{n} camera{'s' * (n != 1)}, {source.name} to {target.name}. Written: "
         f"{', '.join(map(str, saved.files))}.",
         markup=False,
@@ -79,12 +77,11 @@ def convert_command(
             "The photos were not given, so it is not known whether EXIF rotates them; if "
             "it does, pass them with --photos."
         )
-    for note in notes:
-        _log.print(f"Note: {note}", markup=False)
+    print_notes(notes)
     for loss in saved.losses:
-        _log.print(f"Lost: {loss}", markup=False)
+        log.print(f"Lost: {loss}", markup=False)
     if not saved.losses:
-        _log.print("Nothing is lost.")
+        log.print("Nothing is lost.")
     if json:
         figures = {
             "from": source.name,

@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import rich.console
 import tyro
 
+from photoreg.cli.console import log
 from photoreg.errors import InputError
 from photoreg.formats.cameras.cameras_json import CameraFile, dump_cameras
 from photoreg.formats.cameras.registry import photos_by_name, read_cameras
@@ -16,8 +16,6 @@ from photoreg.formats.writing import Content, check_outputs, make_folder, write_
 from photoreg.imaging.encoding import encode
 from photoreg.imaging.photo import Photo
 from photoreg.imaging.undistort import undistorted_photo
-
-_log = rich.console.Console(stderr=True, highlight=False, soft_wrap=True)
 
 
 def undistort_command(
@@ -61,10 +59,10 @@ def undistort_command(
     ):
         contents[target] = _png(undistorted_photo(photo, camera))
         ideal[target.name] = camera.pinhole
-        _log.print(f"{photo.name}: lens {camera.lens.in_words()}.", markup=False)
+        log.print(f"{photo.name}: lens {camera.lens.in_words()}.", markup=False)
     contents[out / "cameras.json"] = dump_cameras(CameraFile(ideal))
     written = write_files(contents, (*photos, cameras), overwrite)
-    _log.print(f"Written: {', '.join(map(str, written))}.", markup=False)
+    log.print(f"Written: {', '.join(map(str, written))}.", markup=False)
     return 0
 
 

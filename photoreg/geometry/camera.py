@@ -27,6 +27,11 @@ MAX_FOCAL_PX = 1e9
 MAX_DISTANCE = 1e16
 """Largest number in t, as for the coordinates of a mesh."""
 
+SAME_CAMERA_TOLERANCE = 1e-10
+"""Relative difference under which two cameras count as the same. Poses pass through
+quaternions on their way to the page, a project and back, which costs about 1e-15; nobody
+moves a camera by so little."""
+
 
 def reduced_size(
     width: int, height: int, max_side_px: int, least_px: int = 1
@@ -260,6 +265,22 @@ class Camera:
         K, R = K @ signs, signs @ R
         K = np.triu(K)
         return cls(K / K[2, 2], R, np.linalg.solve(K, P[:, 3]), width, height)
+
+
+def same_camera(a: Camera, b: Camera) -> bool:
+    """Whether two cameras are equal to rounding."""
+    if a is b:
+        return True
+    if (a.width, a.height, a.lens) != (b.width, b.height, b.lens):
+        return False
+    scale = max(float(np.abs(a.t_cam_world).max()), 1e-300)
+    return (
+        bool(np.abs(a.K - b.K).max() <= SAME_CAMERA_TOLERANCE * a.focal_px)
+        and bool(np.abs(a.R_cam_world - b.R_cam_world).max() <= SAME_CAMERA_TOLERANCE)
+        and bool(
+            np.abs(a.t_cam_world - b.t_cam_world).max() <= SAME_CAMERA_TOLERANCE * scale
+        )
+    )
 
 
 def _products(

@@ -20,11 +20,7 @@ from photoreg.geometry.surface_view import (
     surface_views,
 )
 from photoreg.geometry.visibility import samples_for
-from photoreg.imaging.pairs import (
-    choose_pairs,
-    points_of_pair,
-    weight_of_pair,
-)
+from photoreg.imaging.pairs import choose_pairs, points_of_pair, weight_of_pair
 from photoreg.imaging.photo import Pair, Photo
 from photoreg.parameters.bounds import PriorScales
 from photoreg.parameters.camera_parameters import PRINCIPAL

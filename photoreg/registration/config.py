@@ -10,11 +10,7 @@ from photoreg.errors import InputError
 from photoreg.geometry.lens import N_TERMS, Distortion
 from photoreg.geometry.mesh import VisibilityMethod
 from photoreg.parameters.bounds import PriorScales
-from photoreg.parameters.gene_box import (
-    CameraModel,
-    Coordinates,
-    GeneBox,
-)
+from photoreg.parameters.gene_box import CameraModel, Coordinates, GeneBox
 from photoreg.polish.config import PolishConfig
 from photoreg.search.config import ConsistencyConfig
 from photoreg.search.genetic import GeneticConfig

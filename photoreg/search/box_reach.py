@@ -10,12 +10,7 @@ from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.visibility import middle_for, samples_for, seen_points
 from photoreg.parameters.freedom import Freedom
-from photoreg.parameters.gene_box import (
-    BoxReach,
-    CameraModel,
-    Coordinates,
-    GeneBox,
-)
+from photoreg.parameters.gene_box import BoxReach, CameraModel, Coordinates, GeneBox
 from photoreg.parameters.genes import GeneMap
 
 N_POINTS = 400

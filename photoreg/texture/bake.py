@@ -27,11 +27,7 @@ from photoreg.texture.blend import (
     outward_normals,
     seen_colours,
 )
-from photoreg.texture.config import (
-    MAX_SIZE,
-    MIN_SIZE,
-    TextureConfig,
-)
+from photoreg.texture.config import MAX_SIZE, MIN_SIZE, TextureConfig
 from photoreg.texture.fill_unseen import spread
 from photoreg.texture.strangers import LEAST_PHOTOS, Stranger, find_strangers
 from photoreg.texture.usable_area import find_usable_area

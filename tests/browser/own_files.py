@@ -6,8 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from scipy.ndimage import binary_erosion
 
-from app.model.state import same_camera
-from photoreg.geometry.camera import Camera
+from photoreg.geometry.camera import Camera, same_camera
 from photoreg.synthetic.scene import Scene
 from tests.browser.app import App
 from tests.browser.driver import Driver, wait_until

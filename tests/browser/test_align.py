@@ -6,9 +6,9 @@ from playwright.sync_api import expect
 
 from app.model.camera_numbers import film_mm
 from app.model.session import select, setting, with_document
-from app.model.state import same_camera
 from app.panels.view import MODES
 from app.web.styles import THROUGH_STYLES
+from photoreg.geometry.camera import same_camera
 from tests.browser.driver import Driver, wait_until
 
 

@@ -11,10 +11,11 @@ import pytest
 
 from app.engine.scene_opening import open_files
 from app.model.session import with_document
-from app.model.state import Document, same_camera
+from app.model.state import Document
 from photoreg.formats.archives import unzipped
 from photoreg.formats.cameras.cameras_json import CameraFile, dump_cameras
 from photoreg.formats.cameras.download import cameras_download
+from photoreg.geometry.camera import same_camera
 from photoreg.project.folder import DATABASE
 from tests.browser.driver import wait_until
 from tests.browser.own_files import drop

@@ -11,9 +11,10 @@ import pytest
 import viser
 
 from app.model.session import with_document, with_entry
-from app.model.state import PointPair, same_camera
+from app.model.state import PointPair
 from app.page.server import Page
 from app.web.widgets import HELP
+from photoreg.geometry.camera import same_camera
 from photoreg.report.comparison_html import swipe_html
 from tests.browser.driver import FINE, wait_until
 

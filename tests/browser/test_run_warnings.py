@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from app.model.camera_moves import orbited
 from app.model.session import setting, with_entry
-from app.model.state import same_camera
-from photoreg.geometry.camera import Camera
+from photoreg.geometry.camera import Camera, same_camera
 from tests.browser.driver import wait_until
 from tests.browser.refine_runs import QUICK, drop, open_to_refine, to_its_end
 

@@ -16,7 +16,8 @@ import trimesh
 import trimesh.visual
 from PIL import Image
 
-from photoreg.cli import commands as commands_module
+from photoreg.cli import refine as refine_module
+from photoreg.cli import texture as texture_module
 from photoreg.cli.commands import commands, run
 from photoreg.formats.cameras.cameras_json import CameraFile, load_cameras, save_cameras
 from photoreg.formats.meshes.read import load_mesh
@@ -288,7 +289,7 @@ def test_an_unwritable_output_is_found_before_the_search(
     def never(*_: object) -> None:
         raise AssertionError("The search was started.")
 
-    monkeypatch.setattr("photoreg.cli.commands.refine", never)
+    monkeypatch.setattr("photoreg.cli.refine.refine_in_attempts", never)
     said = refused(refine_words(folder, out=str(tmp_path / place)), capsys)
     assert "Cannot write" in said
 
@@ -349,7 +350,7 @@ def test_cameras_are_not_lost_where_their_place_is_taken_during_the_run(
     place = tmp_path / "results"
     place.mkdir()
     out = place / "refined.json"
-    whole = commands_module.refine
+    whole = refine_module.refine_in_attempts
 
     def refine(*arguments):
         yield from itertools.islice(whole(*arguments), 3)
@@ -358,7 +359,7 @@ def test_cameras_are_not_lost_where_their_place_is_taken_during_the_run(
         else:
             place.rmdir()
 
-    monkeypatch.setattr(commands_module, "refine", refine)
+    monkeypatch.setattr(refine_module, "refine_in_attempts", refine)
     monkeypatch.chdir(tmp_path)
     assert run([*refine_words(folder, out=str(out)), "--json"]) == 2
     printed = capsys.readouterr()
@@ -376,13 +377,13 @@ def test_a_coverage_picture_is_written_with_the_model_or_neither_is(
     folder, tmp_path, monkeypatch, capsys
 ):
     coverage, out = tmp_path / "coverage.png", tmp_path / "model.obj"
-    whole = commands_module.baking
+    whole = texture_module.baking
 
     def baking(*arguments):
         yield from whole(*arguments)
         coverage.write_bytes(b"somebody's")
 
-    monkeypatch.setattr(commands_module, "baking", baking)
+    monkeypatch.setattr(texture_module, "baking", baking)
     words = ["texture", str(folder / "mesh.ply"), *photo_paths(folder), "--size", "64"]
     words += ["--cameras", str(folder / "truth.json"), "--out", str(out)]
     assert "coverage.png" in refused([*words, "--coverage", str(coverage)], capsys)

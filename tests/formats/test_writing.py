@@ -20,6 +20,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from photoreg.cli import commands as cli_commands
+from photoreg.cli import refine as cli_refine
+from photoreg.cli import texture as cli_texture
 from photoreg.errors import OutputError
 from photoreg.formats import writing
 from photoreg.formats.cameras.camera_set import CameraSet, FormatName
@@ -112,8 +114,8 @@ def quick() -> Iterator[None]:
         yield written
 
     with (
-        mock.patch.object(cli_commands, "refine", return_value=[progress]),
-        mock.patch.object(cli_commands, "baking", return_value=[textured]),
+        mock.patch.object(cli_refine, "refine_in_attempts", return_value=[progress]),
+        mock.patch.object(cli_texture, "baking", return_value=[textured]),
         mock.patch.object(cli_commands, "reproduce", reproduced),
         mock.patch.object(cli_commands, "Reproduced", SimpleNamespace),
     ):
@@ -208,7 +210,7 @@ def test_all_that_is_in_the_way_is_said_in_one_sentence(folder):
 def test_it_is_said_before_the_work(folder):
     (folder / "m.png").write_bytes(b"mine")
     with mock.patch.object(
-        cli_commands, "load_mesh", side_effect=AssertionError("too late")
+        cli_texture, "load_told", side_effect=AssertionError("too late")
     ):
         assert texture("--out", "m.obj")[0] == 2
         (folder / "r.json").write_text("{}")

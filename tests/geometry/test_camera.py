@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from photoreg.errors import InputError
-from photoreg.geometry.camera import Camera
+from photoreg.geometry.camera import Camera, same_camera
 
 
 def make_camera(seed: int = 3) -> Camera:
@@ -112,3 +112,19 @@ def test_a_rotation_with_few_decimals_becomes_the_nearest_rotation(camera):
 def test_a_singular_projection_matrix_is_refused():
     with pytest.raises(InputError, match="singular"):
         Camera.from_projection_matrix(np.zeros((3, 4)), 640, 480)
+
+
+def test_a_camera_is_the_same_after_quaternions_and_not_a_millionth_of_a_pixel_on(
+    camera,
+):
+    turned = Rotation.from_matrix(camera.R_cam_world).as_quat() * (1.0 + 1e-15)
+    back = dataclasses.replace(
+        camera,
+        R_cam_world=Rotation.from_quat(turned).as_matrix(),
+        t_cam_world=camera.R_cam_world @ (camera.R_cam_world.T @ camera.t_cam_world),
+    )
+    assert same_camera(camera, back)
+    K = camera.K.copy()
+    K[0, 2] += 1e-6
+    assert not same_camera(camera, dataclasses.replace(camera, K=K))
+    assert not same_camera(camera, dataclasses.replace(camera, width=641))

@@ -15,12 +15,7 @@ from photoreg.parameters.bounds import PriorScales
 from photoreg.parameters.increments import Increments
 from photoreg.polish.config import PolishConfig
 from photoreg.polish.kernels import bilinear_at, colours_at, weighted_moments
-from photoreg.polish.photometric_term import (
-    CUT,
-    PairTerm,
-    measure_noise,
-    spread_pixels,
-)
+from photoreg.polish.photometric_term import CUT, PairTerm, measure_noise, spread_pixels
 from photoreg.polish.polish_cameras import _terms
 from photoreg.synthetic.rough_cameras import rough_start
 from tests.polish import naive_photometric_term

@@ -13,12 +13,12 @@ import pytest
 
 from app.control.autosave import DOCUMENT_TYPES
 from app.engine.warm_up import toy_scene
-from app.model.state import Document, PhotoEntry, same_camera
+from app.model.state import Document, PhotoEntry
 from photoreg.errors import InputError, OutputError
 from photoreg.formats.meshes.read import load_mesh
 from photoreg.formats.models.ply import save_mesh
 from photoreg.formats.photos.read import load_photo
-from photoreg.geometry.camera import Camera
+from photoreg.geometry.camera import Camera, same_camera
 from photoreg.project import schema
 from photoreg.project.files import keep_file, plain_name
 from photoreg.project.folder import DATABASE

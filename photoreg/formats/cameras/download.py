@@ -12,11 +12,7 @@ from PIL import Image
 from photoreg.errors import InputError, OutputError
 from photoreg.formats.archives import unzipped, zipped
 from photoreg.formats.cameras.camera_set import CameraSet, FormatName
-from photoreg.formats.cameras.registry import (
-    camera_format,
-    for_programs,
-    write_cameras,
-)
+from photoreg.formats.cameras.registry import camera_format, for_programs, write_cameras
 from photoreg.formats.meshes.packed import PACKED_SUFFIX
 from photoreg.formats.meshes.read import MESH_SUFFIXES
 from photoreg.formats.photos.files import is_turned

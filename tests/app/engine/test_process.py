@@ -39,9 +39,10 @@ from app.model.messages import (
 )
 from app.model.pictures import OverlayView, Picture
 from app.model.session import Session, with_entry
-from app.model.state import Document, ModelChoice, PhotoEntry, State, same_camera
+from app.model.state import Document, ModelChoice, PhotoEntry, State
 from app.model.undo_history import UndoStep
 from photoreg.errors import InputError, RefinementError
+from photoreg.geometry.camera import same_camera
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.events import Finished
 from photoreg.registration.refinement import refine

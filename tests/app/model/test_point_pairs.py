@@ -12,9 +12,10 @@ from app.model import point_pairs
 from app.model import session as rules
 from app.model.run import Run
 from app.model.session import Session
-from app.model.state import Document, PhotoEntry, PointPair, State, same_camera
+from app.model.state import Document, PhotoEntry, PointPair, State
 from app.panels.pair_table import pair_rows, table_html
 from photoreg.errors import InputError
+from photoreg.geometry.camera import same_camera
 from photoreg.geometry.projection_error import projection_error
 from photoreg.geometry.sampling import sample_surface
 from photoreg.imaging.photo import Photo

@@ -11,10 +11,10 @@ from app.model import photo_list, reducers
 from app.model import session as rules
 from app.model.run import KeptSearch, Run, Status
 from app.model.session import Session
-from app.model.state import Agreement, Document, PhotoEntry, State, same_camera
+from app.model.state import Agreement, Document, PhotoEntry, State
 from app.model.wanted_pictures import needs_overlay
 from photoreg.errors import InputError, RefinementError
-from photoreg.geometry.camera import Camera
+from photoreg.geometry.camera import Camera, same_camera
 
 
 @pytest.fixture(scope="module")
