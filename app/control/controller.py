@@ -138,7 +138,11 @@ class Controller:
                 return
             job = self.session.state.job
             if job is not None and job.can_stop:
-                self._set(job=Job("Stopping", job.fraction, is_stopping=True))
+                self._set(
+                    job=dataclasses.replace(
+                        job, title="Stopping", can_stop=False, is_stopping=True
+                    )
+                )
                 self.worker.send(Stop())
 
     def pack_model(self, deliver: Deliver) -> None:

@@ -372,7 +372,8 @@ class FileIntake:
             self._on_problem(f"Left out of {batch.first}", sentence)
 
     def _show(self, title: str, fraction: float) -> None:
-        job = Job(title, fraction, can_stop=True)
+        job = self._session.state.job or Job(title, can_stop=True)
+        job = dataclasses.replace(job, title=title, fraction=fraction)
         self._session.change(None, setting(job=job))
 
     def _kept(self, path: Path) -> Path:

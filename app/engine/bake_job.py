@@ -1,5 +1,7 @@
 """The textured model: baked step by step, packed for download, and previewed."""
 
+import dataclasses
+import time
 from collections.abc import Generator, Sequence
 from pathlib import Path
 
@@ -15,6 +17,10 @@ from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.imaging.encoding import encode_jpeg
 from photoreg.imaging.photo import Photo
+from photoreg.registration.texture_doubts import (
+    check_cameras_of_texture,
+    doubts_about_texture,
+)
 from photoreg.texture.atlas import Atlas, make_atlas
 from photoreg.texture.bake import BakingStep, TexturedMesh, baking
 from photoreg.texture.config import TextureConfig
@@ -47,8 +53,13 @@ class BakeJob:
         """Bakes, telling what comes next; the last event is the model.
 
         Whoever stops iterating ends it; the model made before is then still there.
+
+        Raises:
+            InputError: if the cameras are of another world than the mesh.
         """
-        config = config or TextureConfig()
+        config, began = config or TextureConfig(), time.monotonic()
+        yield Working("Looking at the cameras", 0.01)
+        verdict = check_cameras_of_texture(mesh, photos, cameras)
         made_for = self._mesh, self._keep_uv
         if self._atlas is None or made_for != (mesh, config.keep_uv):
             yield Working("Unfolding the surface", 0.02)
@@ -59,8 +70,11 @@ class BakeJob:
                 yield Working(step.title, step.fraction)
             else:
                 yield Working("Making the preview", 0.95)
+                doubts = doubts_about_texture(step, photos, cameras, verdict)
+                texture = _texture(step, photos, cameras, config, tuple(doubts))
                 self._textured = step
-                yield Baked(_texture(step, photos, cameras, config))
+                took_s = time.monotonic() - began
+                yield Baked(dataclasses.replace(texture, took_s=took_s))
 
     def pack(self, choice: ModelChoice) -> Download:
         """The model made last as one file for download.
@@ -84,6 +98,7 @@ def _texture(
     photos: Sequence[Photo],
     cameras: Sequence[Camera],
     config: TextureConfig,
+    doubts: tuple[str, ...],
 ) -> Texture:
     height, width = textured.texture.shape[:2]
     filled = {
@@ -105,7 +120,13 @@ def _texture(
         textured.coverage_picture(), PREVIEW_QUALITY, COVERAGE_SIDE_PX
     )
     return Texture(
-        preview_glb(textured), tuple(cameras), config, summary, picture, coverage
+        preview_glb(textured),
+        tuple(cameras),
+        config,
+        summary,
+        picture,
+        coverage,
+        doubts,
     )
 
 

@@ -4,6 +4,7 @@ No viser and no engine here.
 """
 
 import dataclasses
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -185,6 +186,10 @@ class Texture:
     """Which photo paints each texel, and how well; a small picture."""
     coverage: tuple[tuple[str, float, tuple[int, int, int]], ...]
     """Of each photo: name, share of the surface's area, colour in that picture."""
+    doubts: tuple[str, ...] = ()
+    """What speaks against it, a sentence each."""
+    took_s: float = 0.0
+    """Seconds that it took to be made."""
 
 
 ModelFormat = Literal["obj", "glb", "ply", "coloured ply"]
@@ -210,6 +215,10 @@ class CamerasChoice:
     """Whether photos and cameras are given as ideal lenses would have taken them."""
 
 
+TELLING_S, TELLING_SHARE = 2.0, 0.1
+"""A job that has gone on for less, or has done less, does not tell when it will end."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Job:
     """Something other than a refinement that the worker does for the user."""
@@ -220,6 +229,15 @@ class Job:
     """Whether the user may end it early."""
     is_stopping: bool = False
     """Whether the user has asked for that."""
+    began_s: float = dataclasses.field(default_factory=time.monotonic, compare=False)
+    """When, by the monotonic clock."""
+
+    def seconds_left(self, now_s: float) -> float | None:
+        """Seconds until it ends, if it goes on as until now; None while that says nothing."""
+        gone_s = now_s - self.began_s
+        if gone_s < TELLING_S or not TELLING_SHARE <= self.fraction < 1.0:
+            return None
+        return gone_s * (1.0 - self.fraction) / self.fraction
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ from app.model.state import Job, Notice, State
 from app.panels.align import AlignPanel
 from app.panels.data import DataPanel
 from app.panels.export import ExportPanel
-from app.panels.meter import meter_html
+from app.panels.meter import VERDICTS, meter_html
 from app.panels.overlay import OverlayPanel
 from app.panels.points import PointsPanel
 from app.panels.project import ProjectPanel
@@ -55,6 +55,7 @@ from app.web.widgets import Tool, Tools
 from photoreg.errors import PhotoregError
 from photoreg.geometry.camera import Camera
 from photoreg.limits import Limits
+from photoreg.words import in_words
 
 PAINT_PERIOD_S = 1 / 30
 PASSING_PERIOD_S = 0.25
@@ -468,11 +469,15 @@ def status_line(state: State, is_kept: bool = True) -> str:
     elif not is_kept:
         colour, text = "#e8a33d", "Keeping your work …"
     elif job is not None:
-        colour, text = "#e8a33d", f"{job.title} …"
+        left_s = job.seconds_left(time.monotonic())
+        left = "" if left_s is None else f" about {in_words(left_s)} left"
+        colour, text = "#e8a33d", f"{job.title} …{left}"
         tail = _job_html(job)
     elif run.is_active:
         doing = "Paused" if run.status == "paused" else "Refining"
         colour, text = "#e8a33d", f"{doing}: {run.step or 'starting'}"
+    elif run.status == "review" and run.grade == "unconvincing":
+        colour, text = VERDICTS[run.grade][0], "Unconvincing: tab 3 says what to do."
     elif run.status == "review":
         colour, text = "#2dbeaf", "Refined. Accept or revert in tab 3."
     elif state.document.mesh is None:

@@ -16,6 +16,7 @@ from app.web.controls import guarded, guarded_slow, notify, put, put_value
 from app.web.widgets import HELP, Choice, Option, help_line
 from photoreg.errors import InputError
 from photoreg.formats.cameras.registry import WRITTEN_FORMATS
+from photoreg.words import in_words
 
 SIZES = {
     "auto": Option("Auto", "Somewhat finer than the photos' pixels on the surface."),
@@ -232,13 +233,19 @@ def _text(state: State) -> str:
         return f"{in_markdown(state.job.title)} …"
     if state.run.status == "review":
         return "Accept or revert the refinement first."
-    if state.texture is None:
+    texture = state.texture
+    if texture is None:
         return "Not made yet."
-    if state.texture_is_current:
-        return in_markdown(state.texture.summary)
-    return (
-        f"{in_markdown(state.texture.summary)}\n\n⚠ Cameras or settings have changed since. Make it "
-        "again."
+    doubts = list(texture.doubts)
+    if not state.texture_is_current:
+        took = (
+            f"; the last time took {in_words(texture.took_s)}" if texture.took_s else ""
+        )
+        doubts.insert(
+            0, f"Cameras or settings have changed since. Make it again{took}."
+        )
+    return in_markdown(texture.summary) + "".join(
+        f"\n\n⚠ {in_markdown(doubt)}" for doubt in doubts
     )
 
 

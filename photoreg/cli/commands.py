@@ -23,7 +23,7 @@ from photoreg.cli.batch import make_batch_command
 from photoreg.cli.console import log, print_json, print_notes, progress_bar
 from photoreg.cli.convert import convert_command
 from photoreg.cli.refine import make_refine_command
-from photoreg.cli.scene import MeshPath, why_blind
+from photoreg.cli.scene import MeshPath
 from photoreg.cli.stopping import asked_to_stop
 from photoreg.cli.texture import texture_command
 from photoreg.cli.undistort import undistort_command
@@ -35,6 +35,7 @@ from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.projection_error import projection_error
 from photoreg.paper.reproduce import Reproduced, reproduce
 from photoreg.registration.config import PresetName, RegistrationConfig
+from photoreg.registration.texture_doubts import why_blind
 from photoreg.registration.world import in_world_of_mesh
 from photoreg.synthetic.options import SceneOptions
 from photoreg.synthetic.scene import make_scene, write_scene

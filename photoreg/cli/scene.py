@@ -10,9 +10,6 @@ from photoreg.cli.console import print_notes
 from photoreg.formats.cameras.cameras_json import CameraFile
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
-from photoreg.geometry.projection_error import N_SAMPLES
-from photoreg.geometry.unseen import why_unseen
-from photoreg.geometry.visibility import samples_for, seen_points
 from photoreg.imaging.photo import Photo
 from photoreg.registration.scene_files import load_scene
 
@@ -30,11 +27,3 @@ def load_told(
     scene = load_scene(mesh, photos, cameras)
     print_notes(scene.notes)
     return scene.mesh, list(scene.photos), scene.file, list(scene.cameras)
-
-
-def why_blind(surface: Mesh, camera: Camera) -> str:
-    """Why a camera sees nothing of the surface; empty where it sees some."""
-    points = samples_for(surface, [camera], N_SAMPLES, seed=0).points
-    if seen_points(surface, camera, points).any():
-        return ""
-    return f"sees nothing of {surface.name}. {why_unseen(surface, [camera])}"

@@ -8,24 +8,19 @@ from typing import Annotated
 import tyro
 
 from photoreg.cli.console import log, print_json, progress_bar
-from photoreg.cli.scene import MeshPath, PhotoPaths, load_told, why_blind
+from photoreg.cli.scene import MeshPath, PhotoPaths, load_told
 from photoreg.cli.stopping import asked_to_stop
-from photoreg.errors import InputError
 from photoreg.formats.models.encode_texture import PictureKind, encode_picture
 from photoreg.formats.models.registry import save_textured, textured_files
 from photoreg.formats.writing import Content, check_outputs, check_suffix
 from photoreg.imaging.photo import Photo
-from photoreg.registration.world import (
-    judge,
-    why_convincing_elsewhere,
-    why_of_another_world,
+from photoreg.registration.texture_doubts import (
+    check_cameras_of_texture,
+    doubts_about_texture,
 )
 from photoreg.texture.bake import BakingStep, TexturedMesh, baking
 from photoreg.texture.config import TextureConfig
 from photoreg.words import percent
-
-LITTLE_SEEN = 0.1
-"""A texture that covers less of the surface is told as what may be a fault."""
 
 
 def texture_command(
@@ -63,12 +58,7 @@ def texture_command(
         targets.append(check_suffix(coverage, (".png",)))
     check_outputs(targets, (mesh, *photos, cameras), overwrite)
     surface, pictures, _, exact = load_told(mesh, photos, cameras)
-    verdict = judge(surface, pictures, exact)
-    why = why_of_another_world(surface, pictures, exact)
-    if why is None and verdict.grade != "convincing":
-        why = why_convincing_elsewhere(surface, pictures, exact)
-    if why is not None:
-        raise InputError(why)
+    verdict = check_cameras_of_texture(surface, pictures, exact)
     # Once more: the mesh may have named a material and a texture of its own.
     check_outputs(targets, (mesh, *photos, cameras), overwrite)
     began = time.perf_counter()
@@ -96,20 +86,10 @@ def texture_command(
         f"{width}x{height}, {textured.layout_in_words}, {elapsed_s:.1f} s. "
         f"Written: {', '.join(str(path) for path in written)}."
     )
-    if not verdict.is_credible:
-        log.print(f"Warning: {verdict.sentence}", markup=False)
-    if textured.seen_share < LITTLE_SEEN:
-        log.print(
-            "Warning: little of the surface is seen. If the photos show more of it, cameras "
-            "and mesh are not of one world: check the axes, the units and the origin of both."
-        )
+    for doubt in doubts_about_texture(textured, pictures, exact, verdict):
+        log.print(f"Warning: {doubt}", markup=False)
     if told := _left_out(pictures, textured):
         log.print(told)
-    for photo, camera, share in zip(
-        pictures, exact, textured.seen_share_by_photo, strict=True
-    ):
-        if share == 0.0 and (why := why_blind(surface, camera)):
-            log.print(f"Warning: the camera of {photo.name} {why}", markup=False)
     if json:
         print_json(
             {

@@ -278,7 +278,7 @@ def test_a_camera_that_looks_away_is_named_with_what_is_wrong(folder, tmp_path, 
     words = ["texture", mesh, *photo_paths(folder), "--cameras", wrong]
     assert run([*words, "--out", str(tmp_path / "m.ply"), "--size", "64"]) == 0
     said = capsys.readouterr().err
-    assert f"Warning: the camera of {name} sees nothing of mesh.ply. " in said
+    assert f"Warning: The camera of {name} sees nothing of mesh.ply. " in said
     assert "OpenGL" in said
 
 

@@ -11,11 +11,13 @@ import trimesh
 
 from app.engine.bake_job import BakeJob
 from app.engine.warm_up import toy_scene
+from app.model.camera_moves import rolled
 from app.model.messages import Baked, Working
 from app.model.state import ModelChoice, Texture
 from photoreg.errors import InputError
 from photoreg.texture.atlas import make_atlas
 from photoreg.texture.config import TextureConfig
+from tests.scenes import small_scene
 
 
 @pytest.fixture(scope="module")
@@ -120,3 +122,29 @@ def test_the_model_remembers_the_cameras_it_was_made_with(baked):
     assert all(
         np.array_equal(a.P, b.P) for a, b in zip(baked.cameras, cameras, strict=True)
     )
+
+
+def test_cameras_of_another_world_and_unconvincing_ones_are_told_as_in_the_command_line():
+    scene = small_scene()
+    mesh, photos, cameras = scene.mesh, scene.photos, scene.cameras
+    # In OpenGL's axes, they look away.
+    flip = np.diag([1.0, -1.0, -1.0])
+    away = [
+        dataclasses.replace(
+            camera,
+            R_cam_world=flip @ camera.R_cam_world,
+            t_cam_world=flip @ camera.t_cam_world,
+        )
+        for camera in cameras
+    ]
+    baker = BakeJob()
+    with pytest.raises(InputError, match="OpenGL"):
+        list(baker.bake(mesh, photos, away))
+    moved = [rolled(cameras[0], 9.0), cameras[1]]
+    *_, baked = baker.bake(mesh, photos, moved)
+    assert isinstance(baked, Baked)
+    assert baked.texture.doubts[0].startswith("Unconvincing: ")
+    assert baked.texture.took_s > 0.0
+    *_, baked = baker.bake(mesh, photos, cameras)
+    assert isinstance(baked, Baked)
+    assert baked.texture.doubts == ()
