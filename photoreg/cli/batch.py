@@ -142,6 +142,9 @@ def _tell(event: BatchFinished) -> int:
         f"{in_words(now.elapsed_s)}, {now.known} before.",
         markup=False,
     )
+    if now.lost:
+        what = "attempt was" if now.lost == 1 else "attempts were"
+        log.print(f"{now.lost} {what} lost with their workers and made again.")
     wrong = [r for r in event.rows if r.status in ("failed", "lost", "refused")]
     for row in wrong[:MOST_NAMED]:
         log.print(_in_words(row), markup=False)

@@ -23,7 +23,11 @@ from photoreg.polish.misfit import against_chance, disagreement
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.genetic_search import shared_samples
 from photoreg.registration.verdict import Verdict, decide_verdict
-from photoreg.search.photo_consistency import PhotoConsistency
+from photoreg.search.photo_consistency import (
+    PhotoConsistency,
+    PhotoStack,
+    stack_photos,
+)
 
 LITTLE_IN_VIEW = 0.5
 """Cameras that show less of the surface than this may be of another world."""
@@ -35,6 +39,10 @@ do in another one, and of chance. True cameras measured 0.001 to 0.17 of chance 
 light is the same, rough ones 0.4 to 0.7, true ones in a wrong world mostly 0.5 to 1, and
 less on plain backgrounds and flat objects, where nothing is decided."""
 
+COMPARED = dataclasses.replace(RegistrationConfig().consistency, cost="ssd")
+"""How photos are compared over a world: trimmed, what a fifth of the points shows would be
+left out, which is all that is not background in a wrong one."""
+
 MIRROR = np.diag([-1.0, 1.0, 1.0])
 
 
@@ -45,20 +53,23 @@ def share_of_chance(
 
     1 where no two of them see enough of it.
     """
-    config = RegistrationConfig()
-    # Trimmed, what a fifth of the points shows would be left out, which is all that is
-    # not background in a wrong world.
-    compared = dataclasses.replace(config.consistency, cost="ssd")
     photos = [
         undistorted_photo(photo, camera)
         for photo, camera in zip(photos, cameras, strict=True)
     ]
-    cameras = [camera.pinhole for camera in cameras]
+    stack = stack_photos(photos, COMPARED)
+    return _share_of_chance(mesh, photos, [c.pinhole for c in cameras], stack)
+
+
+def _share_of_chance(
+    mesh: Mesh, photos: Sequence[Photo], cameras: Sequence[Camera], stack: PhotoStack
+) -> float:
+    """The same of photos without lenses that are prepared already."""
     try:
-        samples = shared_samples(mesh, cameras, config)
+        samples = shared_samples(mesh, cameras, RegistrationConfig())
     except RefinementError:
         return 1.0
-    consistency = PhotoConsistency(samples, photos, compared)
+    consistency = PhotoConsistency(samples, photos, COMPARED, stack=stack)
     cost, chance = consistency.cost_and_chance(cameras)
     return min(1.0, cost / chance) if chance > 0.0 else 1.0
 
@@ -131,20 +142,25 @@ def why_convincing_elsewhere(
         for photo, camera in zip(photos[few], cameras[few], strict=True)
     ]
     cameras = [camera.pinhole for camera in cameras[few]]
-    given = share_of_chance(facing_cameras(mesh, cameras), photos, cameras)
+    worlds = [
+        (*world, stack_photos(world[0], COMPARED))
+        for world in ((photos, cameras), _mirrored(photos, cameras))
+    ]
+    facing = facing_cameras(mesh, cameras)
+    given = _share_of_chance(facing, photos, cameras, worlds[0][2])
     for axes, turn in turns():
-        is_mirrored = np.linalg.det(turn) < 0.0
-        world = _mirrored(photos, cameras) if is_mirrored else (photos, cameras)
+        is_mirrored = bool(np.linalg.det(turn) < 0.0)
+        shown, placed, stack = worlds[is_mirrored]
         turn = MIRROR @ turn if is_mirrored else turn
         seen = [
             dataclasses.replace(camera, R_cam_world=camera.R_cam_world @ turn)
-            for camera in world[1]
+            for camera in placed
         ]
         # A plain background agrees with itself, but no outline falls on it.
         facing = facing_cameras(mesh, seen)
         if (
-            agree_clearly_better(share_of_chance(facing, world[0], seen), given)
-            and judge(facing, world[0], seen).grade == "convincing"
+            agree_clearly_better(_share_of_chance(facing, shown, seen, stack), given)
+            and judge(facing, shown, seen).grade == "convincing"
         ):
             return (
                 "The mesh is a mirror image: the photos do not agree on it, but do if its "

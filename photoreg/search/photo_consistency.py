@@ -75,6 +75,7 @@ class PhotoConsistency:
         config: ConsistencyConfig | None = None,
         allowed: Bool[np.ndarray, "m n"] | None = None,
         patches: Float[np.ndarray, "n q 3"] | None = None,
+        stack: PhotoStack | None = None,
     ) -> None:
         """Binds samples and photos.
 
@@ -85,6 +86,8 @@ class PhotoConsistency:
             allowed: Samples each photo may show; the others are known to be hidden.
             patches: Points around each sample, for the mncc cost only; see
                 ``patches_of``.
+            stack: The photos as ``stack_photos`` prepares them, if that was done; None:
+                it is done here.
 
         Raises:
             InputError: with fewer than two photos, or mncc without patches.
@@ -96,7 +99,7 @@ class PhotoConsistency:
             )
         self.config = ConsistencyConfig() if config is None else config
         self.samples = samples
-        self.stack = stack_photos(photos, self.config)
+        self.stack = stack_photos(photos, self.config) if stack is None else stack
         # The kernel works in float32: centre and scale the world to O(1) for it.
         self._origin = samples.points.mean(axis=0)
         self._scale = float(np.abs(samples.points - self._origin).max()) or 1.0

@@ -1,43 +1,28 @@
 """Batches on Dask when things go wrong around them. `make test-cluster` runs all."""
 
+import contextlib
 import json
 import os
-import random
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import psutil
 import pytest
 
+from photoreg.batch import cluster
 from photoreg.batch.cluster import connected
+from photoreg.errors import InputError
 from tests.batch.collections import QUICK, QUICK_BATCH, make_collection
+from tests.batch.killing import command_of, run_killing
 from tests.batch.test_batch import batch, summary
 from tests.browser.driver import wait_until
 
 pytestmark = pytest.mark.cluster
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-def command_of(collection: Path, out: Path, *words: str) -> list[str]:
-    command = [sys.executable, "-m", "photoreg", "batch", str(collection)]
-    return [*command, "--out", str(out), *words]
-
-
-def workers_of(process: psutil.Process) -> list[psutil.Process]:
-    """The processes that work on objects: those of Dask's nannies."""
-    found = []
-    for child in process.children(recursive=True):
-        try:
-            if "spawn_main" in " ".join(child.cmdline()):
-                found.append(child)
-        except psutil.Error:
-            continue
-    return found
 
 
 def records(out: Path) -> list[Path]:
@@ -122,29 +107,15 @@ def test_killed_workers_lose_no_object_and_make_none_twice(tmp_path):
         tmp_path / "out",
     )
     words = [*QUICK, "--model", "none", "--no-report", "--workers", "2"]
-    chance, kills = random.Random(5), 0
-    with subprocess.Popen(
-        command_of(collection, out, *words), stderr=subprocess.PIPE, text=True
-    ) as program:
-        began = next_kill = time.monotonic()
-        while program.poll() is None:
-            time.sleep(0.2)
-            if time.monotonic() > next_kill + KILL_PERIOD_S:
-                next_kill = time.monotonic()
-                if workers := workers_of(psutil.Process(program.pid)):
-                    chance.choice(workers).kill()
-                    kills += 1
-        assert program.stderr is not None
-        said = program.stderr.read()
-    print(
-        f"{N_KILLED} objects, {kills} kills, {time.monotonic() - began:.0f} s: {said}"
-    )
-    assert program.returncode == 0, said
-    assert kills > 0
+    killed = run_killing(command_of(collection, out, *words), out, KILL_PERIOD_S, 5)
+    assert killed.status == 0, killed.said
+    assert killed.kills > 0
+    # What is lost is an attempt a kill, and none of it is made twice.
+    assert killed.lost <= killed.kills, killed.said
     rows = summary(out)
     assert len(rows) == N_KILLED
     assert {row["status"] for row in rows.values()} == {"done"}
-    assert f"{N_KILLED} done now in" in said
+    assert f"{N_KILLED} done now in" in killed.said
     # The same bits as alone; every third object is the same.
     for seed in range(3):
         alone = tmp_path / f"alone{seed}.json"
@@ -158,36 +129,63 @@ def test_killed_workers_lose_no_object_and_make_none_twice(tmp_path):
             assert made.read_bytes() == alone.read_bytes(), number
 
 
-def started(folder: Path, program: str, *words: str) -> subprocess.Popen[bytes]:
+def started(
+    folder: Path,
+    program: str,
+    *words: str,
+    environment: Mapping[str, str] | None = None,
+) -> subprocess.Popen[bytes]:
     """Dask's own program, with this photoreg to be found."""
     return subprocess.Popen(
         [sys.executable, "-m", f"distributed.cli.dask_{program}", *words],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        env={
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join(sys.path),
+            **(environment or {}),
+        },
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
 
 
-@pytest.fixture
-def dask_cluster(tmp_path) -> Iterator[str]:
-    """A scheduler and a worker that are there already, in folders of their own."""
+@contextlib.contextmanager
+def cluster_of_one(
+    tmp_path: Path, *words: str, environment: Mapping[str, str] | None = None
+) -> Iterator[str]:
+    """A scheduler and a worker that are there already, in folders of their own.
+
+    Args:
+        tmp_path: For these.
+        words: For the worker.
+        environment: Of both, beside what there is.
+    """
     address = tmp_path / "scheduler.json"
     common = ["--host", "127.0.0.1", "--scheduler-file", str(address)]
     scheduler = started(
-        tmp_path, "scheduler", *common, "--port", "0", "--dashboard-address", ":0"
-    )
+        tmp_path, "scheduler", *common, "--port", "0", "--dashboard-address", ":0",
+        environment=environment,
+    )  # fmt: skip
     worker = started(
         tmp_path, "worker", *common, "--nthreads", "1",
-        "--local-directory", str(tmp_path / "dask"),
+        "--local-directory", str(tmp_path / "dask"), *words, environment=environment,
     )  # fmt: skip
     wait_until(
         lambda: address.is_file() and address.stat().st_size > 0, "the scheduler", 60.0
     )
-    yield json.loads(address.read_text())["address"]
-    for program in (worker, scheduler):
-        program.terminate()
-        program.wait(timeout=60)
+    try:
+        yield json.loads(address.read_text())["address"]
+    finally:
+        for program in (worker, scheduler):
+            program.terminate()
+            program.wait(timeout=60)
+
+
+@pytest.fixture
+def dask_cluster(tmp_path) -> Iterator[str]:
+    """A cluster that is there already."""
+    with cluster_of_one(tmp_path) as address:
+        yield address
 
 
 @pytest.mark.slow
@@ -207,9 +205,29 @@ def test_a_cluster_that_is_there_gives_the_same_by_shared_path_and_by_sending(
     assert "0 done now in" in batch(collection, shipped).stderr
 
 
-def test_a_scheduler_that_is_not_there_is_a_sentence(tmp_path):
-    from photoreg.errors import InputError
+@pytest.mark.slow
+def test_a_worker_that_its_nanny_kills_for_memory_costs_that_attempt_alone(tmp_path):
+    collection, out = make_collection(tmp_path / "things", 2), tmp_path / "out"
+    told = tmp_path / "hungry.txt"
+    words = ("--memory-limit", "1500MB", "--preload", "tests.batch.hungry_worker")
+    environment = {
+        "PHOTOREG_HUNGRY": str(told),
+        # As a cluster of our own has them: each death is counted by the batch, and no
+        # object waits at a worker that may die of another one.
+        "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0",
+        "DASK_DISTRIBUTED__SCHEDULER__WORKER_SATURATION": "1.0",
+    }
+    with cluster_of_one(tmp_path, *words, environment=environment) as address:
+        ended = batch(collection, out, "--scheduler", address)
+    assert ended.returncode == 0, ended.stderr
+    assert "1 attempt was lost" in ended.stderr
+    assert "2 done now in" in ended.stderr
+    # It was at it, and was ended before it had all that it asked for.
+    assert told.read_text() == "object 0000 asks\n"
 
+
+def test_a_scheduler_that_is_not_there_is_a_sentence(monkeypatch):
+    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT_S", 1)
     with (
         pytest.raises(InputError, match="There is no Dask scheduler at"),
         connected("tcp://127.0.0.1:1", 1, 1),

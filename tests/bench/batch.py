@@ -1,8 +1,9 @@
-"""A batch's figures: `python -m tests.bench.batch known` and `... speed`.
+"""A batch's figures: `python -m tests.bench.batch known`, `speed`, `kills`.
 
 known: ten thousand objects of which all but ten are done; the time until the first of
 these is worked on, and the memory of the program until its end. speed: the rate on one
-core against a shell loop over `photoreg refine`, and on two cores against one.
+core against a shell loop over `photoreg refine`, and on two cores against one. kills: what
+workers that are killed cost, beside what their attempts had taken and their restarts.
 """
 
 import argparse
@@ -17,9 +18,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from tests.batch.collections import QUICK, make_collection, make_object
+from tests.batch.killing import run_killing
 from tests.bench.metrics import Metric
 
 N_LEFT = 10
+KILL_PERIOD_S = 20.0
 PLAIN = (*QUICK, "--model", "none", "--no-report")
 
 
@@ -99,6 +102,28 @@ def speed(n: int) -> Iterator[Metric]:
         )
 
 
+def kills(n: int) -> Iterator[Metric]:
+    """The same objects with and without a worker killed every 20 s, by two workers."""
+    with tempfile.TemporaryDirectory(prefix="photoreg-bench-") as folder:
+        collection = make_collection(Path(folder) / "things", n)
+        began = time.perf_counter()
+        out = Path(folder) / "out"
+        subprocess.run(
+            _command(collection, out, 2), check=True, stderr=subprocess.DEVNULL
+        )
+        quiet_s = time.perf_counter() - began
+        out = Path(folder) / "killed"
+        killed = run_killing(_command(collection, out, 2), out, KILL_PERIOD_S, seed=5)
+        assert killed.status == 0, killed.said
+        note = f"{killed.kills} kills, {killed.lost} attempts"
+        yield Metric(
+            "batch.kills.lost_s", 2.0 * (killed.elapsed_s - quiet_s), "worker s", "lower",
+            killed.at_work_s + killed.away_s, note=note,
+        )  # fmt: skip
+        yield Metric("batch.kills.attempts_s", killed.at_work_s, "worker s", "lower")
+        yield Metric("batch.kills.restarts_s", killed.away_s, "worker s", "lower")
+
+
 def _pinned(command: list[str], n_cores: int) -> None:
     cores = ",".join(map(str, range(n_cores)))
     environment = {**os.environ, "NUMBA_NUM_THREADS": "1"}
@@ -113,12 +138,17 @@ def _pinned(command: list[str], n_cores: int) -> None:
 def main() -> None:
     """Prints the figures asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("known", "speed"))
-    parser.add_argument("--n", type=int, default=0, help="objects; 0: 10,000 or 20")
-    given = parser.parse_args()
-    figures = (
-        known(given.n or 10_000) if given.what == "known" else speed(given.n or 20)
+    parser.add_argument("what", choices=("known", "speed", "kills"))
+    parser.add_argument(
+        "--n", type=int, default=0, help="objects; 0: 10,000, 20 or 100"
     )
+    given = parser.parse_args()
+    measure, usual = {
+        "known": (known, 10_000),
+        "speed": (speed, 20),
+        "kills": (kills, 100),
+    }[given.what]
+    figures = measure(given.n or usual)
     for figure in figures:
         bar = "" if figure.bar is None else f" (bar {figure.bar:g})"
         print(f"{figure.name} {figure.value:.4g} {figure.unit}{bar} {figure.note}")

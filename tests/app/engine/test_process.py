@@ -80,6 +80,14 @@ def scene() -> Scene:
 
 
 @pytest.fixture(scope="module")
+def direct(scene) -> Finished:
+    """What the engine by itself makes of the scene with the preset fast."""
+    *_, last = refine(scene.mesh, scene.photos, scene.rough_cameras, FAST)
+    assert isinstance(last, Finished)
+    return last
+
+
+@pytest.fixture(scope="module")
 def shared() -> Iterator[tuple[Worker, Listener]]:
     """One worker for the tests that leave it alive."""
     listener = Listener()
@@ -90,7 +98,7 @@ def shared() -> Iterator[tuple[Worker, Listener]]:
 
 
 @pytest.mark.workqueue
-def test_the_worker_s_answer_is_the_engine_s_to_the_bit(shared, scene):
+def test_the_worker_s_answer_is_the_engine_s_to_the_bit(shared, scene, direct):
     worker, listener = shared
     mesh, photos, cameras = scene.mesh, scene.photos, scene.cameras
     start = scene.rough_cameras
@@ -99,15 +107,15 @@ def test_the_worker_s_answer_is_the_engine_s_to_the_bit(shared, scene):
         Refine(cameras=start, config=FAST, view=VIEW, truth=cameras),
     )
     refined = listener.wait_for(Refined)
-    *_, last = refine(mesh, photos, start, RegistrationConfig.preset("fast"))
-    assert isinstance(last, Finished)
-    for ours, direct in zip(refined.cameras, last.cameras, strict=True):
-        assert np.array_equal(ours.P, direct.P)
-    assert refined.finished.cost == last.cost
+    for ours, own in zip(refined.cameras, direct.cameras, strict=True):
+        assert np.array_equal(ours.P, own.P)
+    assert refined.finished.cost == direct.cost
     assert refined.error_px < 0.5 * refined.start_error_px
 
 
-def test_a_run_begun_in_spare_time_has_the_same_answer_and_counts_no_idle_time(scene):
+def test_a_run_begun_in_spare_time_has_the_same_answer_and_counts_no_idle_time(
+    scene, direct
+):
     mesh, photos, start = scene.mesh, scene.photos, scene.rough_cameras
     job = Refine(cameras=start, config=FAST, view=VIEW, truth=None)
     preparation = Preparation(mesh, photos, start, FAST, job.freedom)
@@ -123,10 +131,8 @@ def test_a_run_begun_in_spare_time_has_the_same_answer_and_counts_no_idle_time(s
     ).run(lambda _: iter(()))  # fmt: skip
     refined = events[-1]
     assert isinstance(refined, Refined)
-    *_, last = refine(mesh, photos, start, FAST)
-    assert isinstance(last, Finished)
-    for ours, direct in zip(refined.cameras, last.cameras, strict=True):
-        assert np.array_equal(ours.P, direct.P)
+    for ours, own in zip(refined.cameras, direct.cameras, strict=True):
+        assert np.array_equal(ours.P, own.P)
     assert refined.paused_s > 0.0, "it stood still until it was wanted"
 
 
