@@ -337,6 +337,8 @@ class State:
     or where they disagree."""
     dark: bool = True
     show_texture: bool = True
+    show_own_colours: bool = True
+    """Whether the model wears the colours that the scan came with, where it has any."""
     run: Run = dataclasses.field(default_factory=Run)
     """The run on screen."""
     runs: tuple[Run, ...] = ()

@@ -14,6 +14,10 @@ Y_UP, Z_UP = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 SURVEY_OFFSET = 50.0
 """Diagonals of the mesh from the origin beyond which a coordinate is a survey's."""
 
+HEIGHT_SHARE = 0.05
+"""The most that a height is of a survey's eastings and northings: 431,250 m east of a grid's
+origin that is 21 km, above any ground."""
+
 GROUND_DEPTH, GROUND_COSINE = 0.02, np.cos(np.radians(10.0))
 """Ground is what lies in this lowest share of the height, level to 10 degrees."""
 
@@ -36,10 +40,16 @@ def guessed_up(mesh: Mesh) -> tuple[tuple[float, float, float], str]:
     if mesh.name.lower().endswith((".glb", ".gltf")):
         return Y_UP, "glTF files have y upwards."
     centre, extent = mesh.bounds.mean(axis=0), mesh.bounds[1] - mesh.bounds[0]
-    is_far = np.abs(centre) > SURVEY_OFFSET * mesh.diagonal
-    if is_far[0] and is_far[1] and not is_far[2]:
+    away = np.abs(centre)
+    is_far = away > SURVEY_OFFSET * mesh.diagonal
+
+    def is_height(axis: int, other: int) -> bool:
+        # A few hundred metres above the sea are far from a small object, too.
+        return bool(away[axis] < HEIGHT_SHARE * min(away[0], away[other]))
+
+    if is_far[0] and is_far[1] and is_height(2, 1):
         return Z_UP, "Its coordinates look like a survey's, with heights along z."
-    if is_far[0] and is_far[2] and not is_far[1]:
+    if is_far[0] and is_far[2] and is_height(1, 2):
         return Y_UP, "Its coordinates look like a survey's, with heights along y."
     along_y, along_z = ground_share(mesh, 1), ground_share(mesh, 2)
     is_relief = extent[2] < THIN * extent.max()

@@ -12,6 +12,7 @@ from app.model.point_pairs import index_of_photo
 from app.model.session import select, setting
 from app.model.state import PhotoEntry, State, UpAxis
 from app.model.up_axis import guessed_up, with_up_axis
+from app.scene.own_colours import has_own_colours
 from app.web.bridge import Bridge, Values, Whole
 from app.web.controls import guarded, guarded_slow, put, put_value
 from app.web.uploads import too_large
@@ -54,6 +55,12 @@ class DataPanel:
                 "Up axis", lambda state: with_up_axis(state, _axis(value))
             ),
         )
+        self._own_colours = gui.add_checkbox(
+            "Own colours",
+            True,
+            visible=False,
+            hint="The model wears the colours that the scan came with, or none.",
+        )
         self._photo_cards = gui.add_html("")
         self._open = gui.add_html("")
         with gui.add_folder("Demo and page", expand_by_default=False):
@@ -92,6 +99,11 @@ class DataPanel:
         @guarded_slow
         def _(_: viser.GuiEvent) -> None:
             controller.open_demo()
+
+        @self._own_colours.on_update
+        @guarded
+        def _(_: viser.GuiEvent) -> None:
+            session.change(None, setting(show_own_colours=self._own_colours.value))
 
         @self._dark.on_update
         @guarded
@@ -139,6 +151,10 @@ class DataPanel:
         put(self._open, "content", _opening_html(state, busy, self._limits))
         put(self._demo, "disabled", busy)
         put_value(self._dark, state.dark)
+        mesh = state.document.mesh
+        has_own = mesh is not None and has_own_colours(mesh)
+        put(self._own_colours, "visible", has_own)
+        put_value(self._own_colours, state.show_own_colours)
         key = (
             state.document.mesh,
             state.document.up,

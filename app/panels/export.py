@@ -11,6 +11,7 @@ from app.control.controller import Controller
 from app.model.markup import escaped, in_markdown
 from app.model.session import setting
 from app.model.state import State, Texture
+from app.scene.own_colours import has_own_colours
 from app.web.bridge import Bridge
 from app.web.controls import guarded, guarded_slow, notify, put, put_value
 from app.web.widgets import HELP, Choice, Option, help_line
@@ -251,9 +252,7 @@ def _text(state: State) -> str:
 
 def _unseen_options(state: State) -> dict[str, Option]:
     mesh = state.document.mesh
-    has_own = mesh is not None and (
-        mesh.own_texture is not None or mesh.vertex_colours is not None
-    )
+    has_own = mesh is not None and has_own_colours(mesh)
     return {
         "diffuse": Option("Filled in", "Colours spread from seen neighbours."),
         "colour": Option("One colour", "It shows plainly what no photo saw."),

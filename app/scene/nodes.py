@@ -16,6 +16,7 @@ from app.model.state import State
 from app.scene.frusta import SELECTED_COLOUR, Frusta
 from app.scene.gizmos import Gizmos, Moved
 from app.scene.markers import Markers, Pull
+from app.scene.own_colours import has_own_colours, own_colours_glb
 from app.web.controls import put
 from photoreg.geometry.mesh import Mesh
 
@@ -53,6 +54,7 @@ class SceneNodes:
         self._surface_glb: bytes | None = None
         self._surface_count = 0
         self._clay: viser.MeshHandle | None = None
+        self._own: viser.GlbHandle | None = None
         self._clear: viser.MeshHandle | None = None
         scene = server.scene
         self.markers = Markers(scene, on_marker)
@@ -85,16 +87,19 @@ class SceneNodes:
             self._server.scene.set_up_direction(document.up)
         if document.display_mesh is not self._mesh:
             self._mesh = document.display_mesh
-            for node in (self._clay, self._clear):
+            for node in (self._clay, self._own, self._clear):
                 if node is not None:
                     node.remove()
-            self._clay = self._clear = None
+            self._clay = self._own = self._clear = None
             if self._mesh is not None and document.mesh is not None:
                 self.frame = DisplayFrame.of(document.mesh)
                 vertices = self.frame.to_page(self._mesh.vertices)
                 self._clay = self._server.scene.add_mesh_simple(
                     "/solid/clay", vertices, self._mesh.faces, color=CLAY, side="double"
                 )
+                if has_own_colours(document.mesh):
+                    glb = own_colours_glb(document.mesh, self._mesh, self.frame)
+                    self._own = self._server.scene.add_glb("/solid/own", glb)
                 # Seen through, the far side would only confuse.
                 faces = outward_faces(self._mesh)
                 self._faces = self._mesh.faces if faces is None else faces
@@ -214,8 +219,11 @@ class SceneNodes:
         covered = textured or (self._run_is_shown and bool(self._surfaces))
         if self._textured is not None and self._run_is_shown:
             put(self._textured, "visible", False)
+        wears_own = self._own is not None and state.show_own_colours
+        if self._own is not None:
+            put(self._own, "visible", wears_own and not covered)
         if self._clay is not None:
-            put(self._clay, "visible", not covered)
+            put(self._clay, "visible", not covered and not wears_own)
 
 
 def outward_faces(mesh: Mesh) -> np.ndarray | None:

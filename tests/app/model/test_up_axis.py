@@ -45,6 +45,9 @@ def test_a_survey_has_its_heights_along_the_axis_that_is_small():
     ball = trimesh.creation.icosphere(2)
     assert guessed_up(mesh_of(ball, shift=(431250.0, 5411800.0, 30.0)))[0] == Z_UP
     assert guessed_up(mesh_of(ball, shift=(431250.0, 30.0, -5411800.0)))[0] == Y_UP
+    # On a mountain, as far above the sea as many sizes of the object.
+    assert guessed_up(mesh_of(ball, shift=(431250.0, 5411800.0, 2210.0)))[0] == Z_UP
+    assert guessed_up(mesh_of(ball, shift=(431250.0, 2210.0, -5411800.0)))[0] == Y_UP
 
 
 def test_gltf_and_what_tells_nothing_have_y_upwards():
