@@ -8,6 +8,7 @@ import logging
 from collections.abc import Callable
 from typing import Any
 
+from app.control.camera_finder import CameraFinder
 from app.control.file_intake import FileIntake
 from app.control.projects import Projects
 from app.control.resection_solver import ResectionSolver
@@ -22,12 +23,14 @@ from app.model.messages import (
     Bake,
     Baked,
     BakingStopped,
+    CamerasFound,
     Checked,
     Died,
     Download,
     DrawOverlay,
     Event,
     Failed,
+    FindingStopped,
     Live,
     Measured,
     MeasureReach,
@@ -85,6 +88,7 @@ class Controller:
         self._lock = session.lock
         self.worker = Worker(self._hear, warm_up)
         self.refinement = RunControl(session, self.worker, self._send_scene)
+        self.finder = CameraFinder(session, self.worker, self._send_scene)
         self.solver = ResectionSolver(session, self._fail)
         self.intake = FileIntake(
             session,
@@ -228,6 +232,10 @@ class Controller:
                 self.session.change(None, lambda state: reducers.checked(state, event))
             case Reached():
                 self._set(reach=event.reach)
+            case CamerasFound():
+                self.finder.heard(event)
+            case FindingStopped():
+                self._set(job=None, note="Stopped; the cameras are as they were.")
             case Timed():
                 self._set(speed=event.speed)
             case Working():

@@ -11,6 +11,7 @@ from multiprocessing.connection import Connection
 
 from app.engine.agreement_meter import AgreementMeter
 from app.engine.bake_job import BakeJob
+from app.engine.finding_job import finding
 from app.engine.overlay_job import Drawing
 from app.engine.picture_stream import PictureStream
 from app.engine.refine_job import Preparation, RefineJob
@@ -25,6 +26,8 @@ from app.model.messages import (
     DrawOverlay,
     Event,
     Failed,
+    FindCameras,
+    FindingStopped,
     Job,
     Measured,
     MeasureReach,
@@ -154,6 +157,9 @@ class WorkerProcess:
             case Pack():
                 self._send(Working("Packing the files", 0.5))
                 self._send(self._baker.pack(job.choice))
+            case FindCameras():
+                self._drop_preparation()
+                self._find_cameras(job)
             case MeasureReach():
                 self._reach_of, self._unreached = job, self._cameras
             case Compare():
@@ -297,6 +303,18 @@ class WorkerProcess:
             if isinstance(step, Working) and self._is_told_to_stop():
                 self._send(BakingStopped())
                 return
+
+    def _find_cameras(self, job: FindCameras) -> None:
+        photos = [self._photos[i] for i in job.photos]
+        told: Working | None = None
+        for step in finding(self._scene_mesh(), photos):
+            if step != told:
+                self._send(step)
+            if isinstance(step, Working):
+                told = step
+                if self._is_told_to_stop():
+                    self._send(FindingStopped())
+                    return
 
     def _is_told_to_stop(self) -> bool:
         """Whether the app sent a stop; what else it sent is kept for afterwards."""

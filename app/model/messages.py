@@ -7,7 +7,7 @@ from typing import Any
 from app.model.durations import Speed
 from app.model.pictures import Cloud, Compare, Compared, OverlayView, Picture
 from app.model.run import KeptSearch
-from app.model.state import Agreement, ModelChoice, Texture
+from app.model.state import Agreement, FoundCamera, ModelChoice, Texture
 from photoreg.formats.cameras.cameras_json import CameraFile
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
@@ -71,6 +71,14 @@ class Refine:
     """Where it goes on; None: it begins."""
     level: float = 1.0
     """Where the cost curve was then."""
+
+
+@dataclasses.dataclass(frozen=True)
+class FindCameras:
+    """Find the cameras of some of the scene's photos, which nobody has placed."""
+
+    photos: tuple[int, ...]
+    """By index in the scene."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -239,6 +247,18 @@ class Reached:
     reach: BoxReach
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class CamerasFound:
+    """Where the cameras that were looked for may be."""
+
+    found: tuple[FoundCamera, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class FindingStopped:
+    """The search for cameras ended early, as asked."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Timed:
     """How fast this machine is with the scene."""
@@ -299,6 +319,7 @@ Job = (
     | DrawOverlay
     | Refine
     | Compare
+    | FindCameras
     | MeasureReach
     | Bake
     | Pack
@@ -319,6 +340,8 @@ Event = (
     | Compared
     | Checked
     | Reached
+    | CamerasFound
+    | FindingStopped
     | Timed
     | Working
     | Baked

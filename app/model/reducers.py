@@ -6,6 +6,7 @@ from app.model import session as rules
 from app.model.camera_moves import first_camera
 from app.model.durations import seconds_left
 from app.model.messages import (
+    CamerasFound,
     CamerasLoaded,
     Checked,
     Live,
@@ -186,6 +187,36 @@ def ended(state: State, event: Refined) -> State:
             undetermined=tuple(finished.undetermined),
         )
     return kept(state, run)
+
+
+def found(state: State, event: CamerasFound) -> State:
+    """Cameras that were looked for stand where they may be; the rest stays."""
+    document = state.document
+    cameras = {one.photo: one.candidates[0] for one in event.found if one.candidates}
+    photos = tuple(
+        dataclasses.replace(entry, camera=cameras.get(entry.name, entry.camera))
+        for entry in document.photos
+    )
+    names = {
+        grade: [one.photo for one in event.found if one.grade == grade]
+        for grade in ("found", "unsure", "not found")
+    }
+    parts = [
+        f"{words}: {first_names(names[grade])}."
+        for grade, words in (
+            ("found", "Found"),
+            ("unsure", "Unsure, look at the poses in Align"),
+            ("not found", "Not found"),
+        )
+        if names[grade]
+    ]
+    return dataclasses.replace(
+        state,
+        document=dataclasses.replace(document, photos=photos),
+        found=event.found,
+        job=None,
+        note=" ".join(parts),
+    )
 
 
 def broken_off(state: State, outcome: str) -> State:

@@ -29,6 +29,7 @@ from photoreg.geometry.mesh import Mesh
 from photoreg.imaging.photo import Photo
 from photoreg.parameters.freedom import Freedom
 from photoreg.parameters.gene_box import BoxReach
+from photoreg.placing.outcome import PlacingGrade
 from photoreg.project.files import FileProblem
 from photoreg.registration.config import PresetName, RegistrationConfig
 from photoreg.registration.readiness import Readiness
@@ -215,6 +216,20 @@ class CamerasChoice:
     """Whether photos and cameras are given as ideal lenses would have taken them."""
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class FoundCamera:
+    """Where the camera of a photo may be, as it was found without a click."""
+
+    photo: str
+    """The photo's name."""
+    grade: PlacingGrade
+    sentence: str
+    candidates: tuple[Camera, ...]
+    """The most likely poses, the best first."""
+    pictures: tuple[bytes, ...]
+    """A JPEG of each, with the surface over the photo."""
+
+
 TELLING_S, TELLING_SHARE = 2.0, 0.1
 """A job that has gone on for less, or has done less, does not tell when it will end."""
 
@@ -318,6 +333,8 @@ class State:
     """Number of the point that the next clicks put elsewhere."""
     solution: Solution | None = None
     """Of the selected photo's pairs; may be of some milliseconds ago."""
+    found: tuple[FoundCamera, ...] = ()
+    """Of the photos whose cameras were looked for last."""
     keep_size: bool = True
     """Whether a change of focal length keeps the object's size in the photo."""
     preset: PresetName = "default"

@@ -74,7 +74,7 @@ def ground_share(mesh: Mesh, axis: int) -> float:
 def with_up_axis(state: State, choice: UpAxis) -> State:
     """The choice in force; cameras that nobody has placed yet stand upright by it."""
     document = state.document
-    mesh, moved = document.display_mesh, _moved(document)
+    mesh, moved = document.display_mesh, moved_photos(document)
     up = Z_UP if choice == "z" else Y_UP
     if choice == "auto":
         cameras = tuple(entry.camera for entry in moved)
@@ -92,7 +92,7 @@ def with_up_axis(state: State, choice: UpAxis) -> State:
     return dataclasses.replace(state, document=document)
 
 
-def _moved(document: Document) -> list[PhotoEntry]:
+def moved_photos(document: Document) -> list[PhotoEntry]:
     """The photos whose cameras are no longer as they were first put."""
     placed: list[Camera] = []
     moved = []

@@ -25,6 +25,7 @@ from app.model.state import Job, Notice, State
 from app.panels.align import AlignPanel
 from app.panels.data import DataPanel
 from app.panels.export import ExportPanel
+from app.panels.find_cameras import FindCamerasPanel
 from app.panels.meter import VERDICTS, meter_html
 from app.panels.overlay import OverlayPanel
 from app.panels.points import PointsPanel
@@ -157,6 +158,7 @@ class Page:
             project = ProjectPanel(gui, self.controller)
             data = DataPanel(gui, self.controller, bridge)
         with tabs.add_tab("2 Align") as self._align_tab:
+            finding = FindCamerasPanel(gui, self.controller, bridge)
             align = AlignPanel(gui, self.controller, bridge)
         with tabs.add_tab("3 Refine"):
             refine = RefinePanel(gui, self.controller)
@@ -171,7 +173,7 @@ class Page:
         left.dock_left()
         left.set_width(350)
         self._points = points
-        self._panels = (project, data, align, refine, export, overlay, points)
+        self._panels = (project, data, finding, align, refine, export, overlay, points)
         self._run_panels = (refine, overlay)
 
         @guarded

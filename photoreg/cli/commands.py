@@ -22,6 +22,7 @@ from photoreg.cli.app import app_command
 from photoreg.cli.batch import make_batch_command
 from photoreg.cli.console import log, print_json, print_notes, progress_bar
 from photoreg.cli.convert import convert_command
+from photoreg.cli.place import place_command
 from photoreg.cli.refine import make_refine_command
 from photoreg.cli.scene import MeshPath
 from photoreg.cli.stopping import asked_to_stop
@@ -46,6 +47,7 @@ def commands(argv: Sequence[str] = ()) -> dict[str, Callable[..., int]]:
     preset = RegistrationConfig.preset(_preset(argv))
     return {
         "app": app_command,
+        "place": place_command,
         "refine": make_refine_command(preset),
         "batch": make_batch_command(preset),
         "evaluate": evaluate_command,

@@ -12,6 +12,7 @@ from typing import Annotated
 import tyro
 
 from photoreg.cli.console import log, print_json, progress_bar
+from photoreg.cli.place import Boxes, cameras_of_unplaced
 from photoreg.cli.scene import MeshPath, PhotoPaths, load_told
 from photoreg.cli.stopping import asked_to_stop
 from photoreg.errors import InputError, OutputError
@@ -37,8 +38,9 @@ def make_refine_command(preset: RegistrationConfig) -> Callable[..., int]:
         photos: PhotoPaths,
         /,
         *,
-        cameras: Path,
         out: Path,
+        cameras: Path | None = None,
+        box: Boxes = (),
         preset: PresetName = "default",
         only: tuple[str, ...] = (),
         lock: tuple[str, ...] = (),
@@ -62,8 +64,11 @@ def make_refine_command(preset: RegistrationConfig) -> Callable[..., int]:
         Args:
             mesh: The scanned surface: OBJ, PLY, STL, GLB or OFF.
             photos: One or more photos: JPEG, PNG, TIFF, WebP, HEIC, AVIF, JPEG XL or RAW.
-            cameras: Rough cameras to start from, in any format that `photoreg convert` reads.
             out: Where the refined cameras go (.json).
+            cameras: Rough cameras to start from, in any format that `photoreg convert` reads.
+                Without them they are found first, as by `photoreg place`.
+            box: Where there are no cameras: a box around the object in a photo, by file
+                name: left, top, width and height in pixels. Repeat it for another photo.
             preset: What the options below default to: default; fast, for a quick look;
                 thorough, for very rough starts; paper, the paper's genetic algorithm.
             only: Photos, by file name, to refine, as those that were added to a finished
@@ -84,10 +89,24 @@ def make_refine_command(preset: RegistrationConfig) -> Callable[..., int]:
             config: How to refine.
         """
         del preset  # `config` began as it.
-        check_outputs(
-            [check_suffix(out, (".json",))], (mesh, *photos, cameras), overwrite
-        )
-        surface, pictures, file, start = load_told(mesh, photos, cameras)
+        read = (mesh, *photos) if cameras is None else (mesh, *photos, cameras)
+        check_outputs([check_suffix(out, (".json",))], read, overwrite)
+        if cameras is None:
+            _refuse_without_cameras(
+                *(only, lock, lock_focal, lock_principal_point),
+                *(lock_pose, lock_distortion),
+            )
+            found = cameras_of_unplaced(mesh, photos, box, config.seed)
+            if found is None:
+                return 1
+            surface, pictures, start = found
+            file = CameraFile({})
+        elif box:
+            raise InputError(
+                "--box is a hint for finding cameras; leave out --cameras to find them."
+            )
+        else:
+            surface, pictures, file, start = load_told(mesh, photos, cameras)
         names = [photo.name for photo in pictures]
         freedom = Freedom.of_photos(
             names,
@@ -138,6 +157,14 @@ def make_refine_command(preset: RegistrationConfig) -> Callable[..., int]:
         return 1 if interrupted else 0
 
     return refine_command
+
+
+def _refuse_without_cameras(*held: Sequence[str]) -> None:
+    if any(held):
+        raise InputError(
+            "Without --cameras nothing is known that --only or --lock could keep; give "
+            "the cameras that are right."
+        )
 
 
 def _cropped_by_exif(photos: Sequence[Photo], named: Sequence[str]) -> list[str]:

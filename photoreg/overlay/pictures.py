@@ -136,6 +136,14 @@ class LiveOverlay:
         return compose(self.pair(cameras, onto, carried), mode, share)
 
 
+def pose_picture(
+    mesh: Mesh, photo: Photo, camera: Camera, max_side_px: int
+) -> UInt8[np.ndarray, "h w 3"]:
+    """A small picture of a photo with the surface over it, to see whether a pose is right."""
+    overlay = LiveOverlay(mesh.decimated(QUICK_MAX_FACES), [photo], max_side_px)
+    return compose(overlay.shape_pair([camera], 0), "blend")
+
+
 def carry_over(
     mesh: Mesh,
     photo_from: Photo,

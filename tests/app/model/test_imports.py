@@ -26,6 +26,7 @@ MAY_LOAD = {
     "parameters.freedom",
     "parameters.gene_box",
     "parameters.genes",
+    "placing.outcome",
     "polish.config",
     "polish.disagreement",
     "registration.checkpoint",

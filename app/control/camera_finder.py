@@ -1,0 +1,88 @@
+"""Cameras found without a click: which photos, and what becomes of the answer."""
+
+from collections.abc import Callable
+
+from app.control.run_control import must_be_idle
+from app.engine.client import Worker
+from app.model import reducers
+from app.model import session as rules
+from app.model.messages import CamerasFound, FindCameras
+from app.model.session import Session, with_entry
+from app.model.state import Document, Job, State
+from app.model.up_axis import moved_photos
+from photoreg.errors import InputError
+
+
+class CameraFinder:
+    """Finds cameras of the document that is open."""
+
+    def __init__(
+        self, session: Session, worker: Worker, send_scene: Callable[[Document], None]
+    ) -> None:
+        self._session, self._worker = session, worker
+        self._send_scene = send_scene
+        # Shared with the session: listeners run under it.
+        self._lock = session.lock
+
+    def find(self, only_selected: bool = False) -> None:
+        """Finds the cameras that nobody has placed yet, or that of the selected photo.
+
+        Args:
+            only_selected: The selected photo's alone, which may have been placed.
+
+        Raises:
+            InputError: if there is no mesh, or no such photo in use.
+        """
+        with self._lock:
+            state = self._session.state
+            must_be_idle(state)
+            document = state.document
+            if document.mesh is None:
+                raise InputError("There is no mesh yet. Load one in the Data tab.")
+            wanted = _wanted(state, only_selected)
+            if not wanted:
+                raise InputError(
+                    "Every camera has been placed already. Find this photo's alone, or "
+                    "reset those that are wrong."
+                    if document.used
+                    else "No photo is in use. Add one, or tick one, in the Data tab."
+                )
+            job = Job("Finding the cameras", can_stop=True)
+            self._session.change(None, rules.setting(job=job, found=()))
+            self._send_scene(document)
+            self._worker.send(FindCameras(wanted))
+
+    def heard(self, event: CamerasFound) -> None:
+        """Puts the cameras where they may be, as one step of undo."""
+        self._session.change(
+            "Find the cameras", lambda state: reducers.found(state, event)
+        )
+
+    def pick(self, photo: str, place: int) -> None:
+        """Puts a photo's camera into one of the poses that were found for it."""
+        with self._lock:
+            state = self._session.state
+            must_be_idle(state)
+            (one,) = (found for found in state.found if found.photo == photo)
+            for i, entry in enumerate(state.document.photos):
+                if entry.name == photo:
+                    self._session.change(
+                        f"Pose {place + 1} of {photo}",
+                        with_entry(i, camera=one.candidates[place]),
+                    )
+
+
+def _wanted(state: State, only_selected: bool) -> tuple[int, ...]:
+    """Which of the photos in use."""
+    document = state.document
+    moved = moved_photos(document)
+    selected = state.selected_photo
+    return tuple(
+        i
+        for i, entry in enumerate(document.used)
+        if (
+            entry is selected
+            if only_selected
+            else not any(entry is other for other in moved)
+        )
+    )

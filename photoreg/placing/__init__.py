@@ -1,0 +1,1 @@
+"""Cameras found without a click, from outlines and colours; not yet precise."""

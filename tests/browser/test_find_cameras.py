@@ -1,0 +1,97 @@
+"""Find the cameras: from a mesh and photos to refined cameras without touching one."""
+
+import numpy as np
+from playwright.sync_api import expect
+
+from app.model.messages import MeshLoaded, PhotoLoaded
+from app.model.reducers import with_mesh, with_photo
+from app.model.state import Document, State, same_camera
+from photoreg.geometry.mesh import Mesh
+from photoreg.geometry.projection_error import projection_error
+from photoreg.imaging.photo import Photo
+from photoreg.registration.config import RegistrationConfig
+from photoreg.synthetic.rock import icosphere
+from tests.browser.driver import wait_until
+from tests.browser.refine_runs import start, to_its_end
+from tests.scenes import small_scene
+
+
+def dropped(mesh: Mesh, photos: tuple[Photo, ...]) -> Document:
+    """The document that dropping these files makes: nobody has touched a camera."""
+    state = with_mesh(State(), MeshLoaded(mesh, mesh.decimated(5_000)))
+    for photo in photos:
+        state = with_photo(state, PhotoLoaded(photo))
+    return state.document
+
+
+def test_two_photos_are_placed_and_refined_without_a_camera_being_touched(open_app):
+    scene = small_scene(seed=5)
+    app = open_app(dropped(scene.mesh, scene.photos))
+    first = app.state.document.used_cameras
+    app.driver.dismiss_toasts()
+    app.driver.tab("2 Align")
+    app.driver.click("Find the cameras")
+    expect(app.driver.page.get_by_role("progressbar").first).to_be_visible()
+    wait_until(lambda: app.state.job is None, "the cameras are found", 300.0)
+    assert [one.grade for one in app.state.found] == ["found", "found"]
+    rough = app.state.document.used_cameras
+    assert projection_error(scene.mesh, scene.cameras, rough).mean < 5.0
+    assert app.state.undo_name == "Find the cameras"
+    app.driver.tab("3 Refine")
+    start(app, RegistrationConfig.preset("fast"), hold=False)
+    to_its_end(app)
+    end = projection_error(scene.mesh, scene.cameras, app.state.run.cameras).mean
+    assert end < 0.5, end
+    app.controller.refinement.revert()
+    app.session.undo()
+    now = app.state.document.used_cameras
+    assert all(map(same_camera, first, now))
+
+
+def test_cancel_leaves_every_camera_as_it_was(open_app):
+    scene = small_scene(seed=5)
+    app = open_app(dropped(scene.mesh, scene.photos))
+    before = app.state.document
+    app.driver.dismiss_toasts()
+    app.driver.tab("2 Align")
+    app.driver.click("Find the cameras")
+    app.driver.click("Cancel")
+    wait_until(lambda: app.state.job is None, "the search is over", 120.0)
+    assert app.state.note.startswith("Stopped")
+    assert app.state.document is before
+    assert app.state.undo_name is None
+
+
+def test_a_round_object_offers_poses_to_pick_from_and_moved_cameras_stay(open_app):
+    ball = Mesh(*icosphere(3))
+    grey = np.full((120, 160, 3), 20, np.uint8)
+    y, x = np.mgrid[:120, :160]
+    grey[(x - 80) ** 2 + (y - 60) ** 2 < 40**2] = 180
+    app = open_app(dropped(ball, (Photo("a.png", grey), Photo("b.png", grey))))
+    app.driver.dismiss_toasts()
+    app.driver.tab("2 Align")
+    window = app.driver.page
+    window.get_by_role("button", name="Nearer", exact=False).first.wait_for()
+    app.driver.click("Bring the object nearer (N)")
+    wait_until(lambda: app.state.undo_name is not None, "a camera is moved")
+    moved = app.state.selected_photo.camera
+    app.driver.click("Find the cameras")
+    wait_until(lambda: app.state.job is None, "the cameras are found", 300.0)
+    assert same_camera(app.state.selected_photo.camera, moved)
+    (one,) = app.state.found
+    assert one.grade == "unsure"
+    assert one.photo != app.state.selected_photo.name
+    app.driver.click("Find this camera")
+
+    def is_found() -> bool:
+        found = app.state.found
+        return bool(found) and found[0] is not one
+
+    wait_until(is_found, "the camera is found", 300.0)
+    (one,) = app.state.found
+    expect(window.get_by_role("img", name="Pose 2")).to_be_visible()
+    app.driver.click("Put the camera into pose 2")
+    wait_until(
+        lambda: same_camera(app.state.selected_photo.camera, one.candidates[1]),
+        "the second pose is taken",
+    )
