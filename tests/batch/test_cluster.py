@@ -40,6 +40,7 @@ def test_our_own_cluster_listens_on_loopback_only():
         assert program.stdout is not None
         assert program.stdout.readline() == "ready\n"
         root = psutil.Process(program.pid)
+        environments = [child.environ() for child in root.children(recursive=True)]
         listening = [
             connection.laddr.ip
             for process in (root, *root.children(recursive=True))
@@ -49,6 +50,9 @@ def test_our_own_cluster_listens_on_loopback_only():
         program.communicate("\n")
     assert len(listening) >= 3, "scheduler, nanny and worker"
     assert set(listening) == {"127.0.0.1"}
+    # Workers keep their memory from one array to the next, as a program of its own does.
+    trim = os.environ.get("MALLOC_TRIM_THRESHOLD_")
+    assert {each.get("MALLOC_TRIM_THRESHOLD_") for each in environments} == {trim}
 
 
 @pytest.mark.slow
