@@ -4,6 +4,9 @@
 PYTHON ?= python3
 BIN := .venv/bin
 DATA ?=
+# Of small systems OpenBLAS's threads mostly wait for each other, most of all where tests
+# run side by side: see keep_blas_to_one_thread.
+export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
 .PHONY: help run test test-shapes test-slow test-cluster test-interop crash fuzz lying-input load check format bench rooms licences docs screenshots clean

@@ -18,7 +18,7 @@ if (
     del sys.path[0]
 
 from photoreg.errors import InputError
-from photoreg.limits import check_address_space
+from photoreg.limits import check_address_space, keep_blas_to_one_thread
 
 
 @contextlib.contextmanager
@@ -38,6 +38,7 @@ def _ctrl_c_ends_at_once() -> Iterator[None]:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+keep_blas_to_one_thread()
 try:
     check_address_space()
 except InputError as error:

@@ -78,6 +78,17 @@ def variable(name: str) -> str:
     return f"PHOTOREG_MAX_{name.upper()}"
 
 
+def keep_blas_to_one_thread() -> None:
+    """Has numpy and scipy solve small systems in one thread, in all processes from here.
+
+    To be called before numpy is loaded. Of the tens of numbers that a set of cameras
+    has, OpenBLAS's threads mostly wait for each other: beside a browser and a worker,
+    on two cores, 36 x 36 took 36 ms instead of 0.8. It also gives the same bits on
+    any number of cores. Who has set OPENBLAS_NUM_THREADS keeps it.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
 def check_address_space() -> None:
     """Checks that the libraries can be loaded: some crash where they should complain.
 
