@@ -1,15 +1,23 @@
-"""A second attempt, with a wider search, where the first answer does not convince."""
+"""More attempts where the first answer does not convince: a wider search, found cameras."""
 
 import dataclasses
 from collections.abc import Generator, Sequence
 
+import numpy as np
+
+from photoreg.errors import RefinementError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
+from photoreg.geometry.unseen import guesses_by_view, share_in_view
 from photoreg.imaging.photo import Photo
-from photoreg.parameters.freedom import Freedom
+from photoreg.parameters.freedom import NOTHING_HELD, Freedom
+from photoreg.placing.outcome import PlacingStep
 from photoreg.registration.config import RegistrationConfig
-from photoreg.registration.events import Event, Finished
+from photoreg.registration.events import Event, Finished, Progress
+from photoreg.registration.find_cameras import find_cameras
 from photoreg.registration.refinement import refine
+
+WAS_FOUND = "The answer began at cameras that were found by the object's outline."
 
 
 def refine_in_attempts(
@@ -22,8 +30,11 @@ def refine_in_attempts(
     """Refines as ``refine`` does, and once more where the answer does not convince.
 
     The second attempt begins at the same cameras and searches as
-    ``RegistrationConfig.searching_wider`` has it. Its answer counts where nothing speaks against it; until then, every event
-    holds the cameras of the first.
+    ``RegistrationConfig.searching_wider`` has it. Its answer counts where nothing speaks
+    against it. Where it does not convince either, or the cameras given see nothing of the
+    surface, a last attempt begins at cameras that are found by the object's outline,
+    if they are found beyond doubt. Until one counts, every event holds the cameras of
+    the first.
 
     Args:
         mesh: The surface.
@@ -37,7 +48,17 @@ def refine_in_attempts(
         RefinementError: as ``refine``.
     """
     config = config or RegistrationConfig()
-    first = yield from _attempt(mesh, photos, cameras, config, freedom, None)
+    try:
+        first = yield from _attempt(mesh, photos, cameras, config, freedom)
+    except RefinementError:
+        if share_in_view(mesh, cameras) > 0.0 or guesses_by_view(mesh, cameras):
+            raise  # What is wrong is known, such as other axes.
+        blind = yield from _from_found(mesh, photos, cameras, config, freedom)
+        if blind is None:
+            raise
+        outcome = f"The cameras given see nothing of the surface. {WAS_FOUND}"
+        yield dataclasses.replace(blind, reason=f"{blind.reason} {outcome}")
+        return
     if first.verdict is None or first.verdict.is_credible:
         yield first
         return
@@ -45,21 +66,71 @@ def refine_in_attempts(
         mesh, photos, cameras, config.searching_wider(), freedom, first
     )
     assert second.verdict is not None
+    attempts = [first, second]
     chosen, outcome = first, "A wider search did not convince either."
     if second.verdict.is_credible:
         chosen, outcome = second, "It is the answer of a second, wider search."
-    phases = first.seconds_by_phase | second.seconds_by_phase
+    else:
+        third = yield from _from_found(mesh, photos, cameras, config, freedom, first)
+        if third is not None:
+            chosen, outcome = third, f"{outcome} {WAS_FOUND}"
+            attempts.append(third)
+    phases = dict.fromkeys(phase for one in attempts for phase in one.seconds_by_phase)
     yield dataclasses.replace(
         chosen,
         reason=f"{chosen.reason} {outcome}",
-        elapsed_s=first.elapsed_s + second.elapsed_s,
-        generations=first.generations + second.generations,
-        evaluations=first.evaluations + second.evaluations,
+        elapsed_s=sum(one.elapsed_s for one in attempts),
+        generations=sum(one.generations for one in attempts),
+        evaluations=sum(one.evaluations for one in attempts),
         seconds_by_phase={
-            phase: sum(one.seconds_by_phase.get(phase, 0.0) for one in (first, second))
+            phase: sum(one.seconds_by_phase.get(phase, 0.0) for one in attempts)
             for phase in phases
         },
     )
+
+
+def _from_found(
+    mesh: Mesh,
+    photos: Sequence[Photo],
+    cameras: Sequence[Camera],
+    config: RegistrationConfig,
+    freedom: Freedom | None,
+    before: Finished | None = None,
+) -> Generator[Event, None, Finished | None]:
+    """An attempt from cameras that are found by the object's outline.
+
+    Returns:
+        None where something of a camera is held, where not all cameras are found beyond
+        doubt, or where this answer does not convince either.
+    """
+    held = (freedom or Freedom()).of
+    if any(held(i) != NOTHING_HELD for i in range(len(photos))):
+        return None
+    best = tuple(cameras) if before is None else before.cameras
+    cost = np.inf if before is None else before.cost
+    placed = None
+    for event in find_cameras(mesh, photos, seed=config.seed):
+        if not isinstance(event, PlacingStep):
+            placed = event
+            continue
+        yield Progress(
+            phase="prepare",
+            step=f"finding the cameras: {event.step}",
+            fraction=event.fraction,
+            generation=0,
+            evaluations=0,
+            best_cost=cost,
+            median_cost=cost,
+            elapsed_s=0.0 if before is None else before.elapsed_s,
+            cameras=best,
+        )
+    if placed is None or placed.grade != "found":
+        return None
+    found = [one.candidates[0] for one in placed.placements]
+    last = yield from _attempt(
+        mesh, photos, found, config, freedom, before, "from found cameras"
+    )
+    return last if last.verdict is not None and last.verdict.is_credible else None
 
 
 def _attempt(
@@ -68,7 +139,8 @@ def _attempt(
     cameras: Sequence[Camera],
     config: RegistrationConfig,
     freedom: Freedom | None,
-    before: Finished | None,
+    before: Finished | None = None,
+    words: str = "second attempt",
 ) -> Generator[Event, None, Finished]:
     """Yields all events but the last, which it returns.
 
@@ -79,6 +151,7 @@ def _attempt(
         config: See ``refine``.
         freedom: See ``refine``.
         before: How the attempt before ended, whose cameras are the best so far.
+        words: What it is called, then.
     """
     for event in refine(mesh, photos, cameras, config, freedom):
         if isinstance(event, Finished):
@@ -86,7 +159,7 @@ def _attempt(
         if before is not None:
             event = dataclasses.replace(
                 event,
-                step=f"second attempt: {event.step}",
+                step=f"{words}: {event.step}",
                 cameras=before.cameras,
                 checkpoint=None,
             )

@@ -5,7 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from photoreg.errors import RefinementError
 from photoreg.geometry.projection_error import projection_error
+from photoreg.parameters.freedom import Freedom
 from photoreg.polish.polish_cameras import PolishConfig
 from photoreg.registration import attempts
 from photoreg.registration.attempts import refine_in_attempts
@@ -16,6 +18,7 @@ from photoreg.search.genetic import GeneticConfig
 from photoreg.synthetic.options import SceneOptions
 from photoreg.synthetic.rough_cameras import rough_start
 from photoreg.synthetic.scene import make_scene
+from tests.registration.test_readiness import aside
 from tests.scenes import small_scene
 
 QUICK = dataclasses.replace(
@@ -92,6 +95,43 @@ def test_the_search_alone_is_not_judged_and_not_repeated(configs):
     )
     assert isinstance(list(refined)[-1], Finished)
     assert configs == [config]
+
+
+@pytest.mark.parametrize("is_blind", [False, True])
+def test_where_a_wider_search_does_not_help_cameras_are_found(configs, is_blind):
+    scene = small_scene(seed=5)
+    if is_blind:
+        start = [aside(camera) for camera in scene.cameras]
+    else:
+        # The backs of the object: nothing near the truth.
+        turn = np.diag([-1.0, -1.0, 1.0])
+        middle = scene.mesh.bounds.mean(axis=0)
+        start = [
+            dataclasses.replace(
+                camera,
+                R_cam_world=camera.R_cam_world @ turn,
+                t_cam_world=camera.to_camera(middle[None])[0]
+                - camera.R_cam_world @ turn @ middle,
+            )
+            for camera in scene.cameras
+        ]
+    *events, last = refine_in_attempts(scene.mesh, scene.photos, start, QUICK)
+    assert isinstance(last, Finished)
+    assert "found by the object's outline" in last.reason
+    error = projection_error(scene.mesh, scene.cameras, last.cameras).mean
+    assert error < 1.0, error
+    steps = [event.step for event in events if isinstance(event, Progress)]
+    assert any(step.startswith("finding the cameras") for step in steps)
+    assert all(len(event.cameras) == 2 for event in events)
+
+
+def test_cameras_of_which_something_is_held_are_not_looked_for(configs):
+    scene = small_scene(seed=5)
+    start = [aside(camera) for camera in scene.cameras]
+    names = [photo.name for photo in scene.photos]
+    freedom = Freedom.of_photos(names, lock_focal=names[:1])
+    with pytest.raises(RefinementError, match="No camera sees the surface"):
+        list(refine_in_attempts(scene.mesh, scene.photos, start, QUICK, freedom))
 
 
 def test_what_is_not_of_the_search_stays_in_a_wider_one():
