@@ -9,20 +9,20 @@
   style.textContent = `
   .pr-stays{position:sticky;z-index:3;display:flow-root;
     background-color:var(--mantine-color-body)}
-  .pr-stays:not([role]){box-shadow:0 -12px var(--mantine-color-body)}`;
+  .pr-first{box-shadow:0 -12px var(--mantine-color-body)}`;
   document.head.append(style);
   let staying = [];
-  let first = 0; // How far from its panel's top the first row is by itself.
   const stack = () => {
     const content = staying[0]?.closest(".mantine-ScrollArea-content");
     if (!content) return;
-    const box = (element) => element.getBoundingClientRect();
-    if (!content.parentElement.scrollTop) first = box(staying[0]).top - box(content).top;
-    let top = first;
-    for (const row of staying) {
-      row.style.top = `${top}px`;
-      top += box(row).height;
-    }
+    // Each stays where it is by itself while nothing is scrolled.
+    const top = (element) => element.getBoundingClientRect().top;
+    for (const row of staying) row.style.position = "static";
+    const tops = staying.map((row) => top(row) - top(content));
+    staying.forEach((row, i) => {
+      row.style.position = "";
+      row.style.top = `${tops[i]}px`;
+    });
   };
   const sizes = new ResizeObserver(stack);
   photoreg.define("head", (element) => {
@@ -31,13 +31,14 @@
     if (!content || !list) return;
     const rows = [...list.children].filter((row) => row.querySelector("[data-kind=head]"));
     const tabs = rows.at(-1)?.nextElementSibling?.querySelector("[role=tablist]");
-    staying.forEach((row) => row.classList.remove("pr-stays"));
+    staying.forEach((row) => row.classList.remove("pr-stays", "pr-first"));
     sizes.disconnect();
     staying = tabs ? [...rows, tabs] : rows;
     for (const row of staying) {
       row.classList.add("pr-stays");
       sizes.observe(row);
     }
+    rows[0].classList.add("pr-first");
     // What clips what is beyond it would hold the rows; this clips the same.
     for (let box = tabs?.parentElement ?? list; box !== content; box = box.parentElement)
       if (getComputedStyle(box).overflow === "hidden") box.style.overflow = "clip";
@@ -73,13 +74,15 @@
     } else if (were === "narrow") {
       place("Position", main, { position: { kind: "edge", edge: "right" } });
       place("Position", left, { position: { kind: "edge", edge: "left" } });
+      place("Width", main, { width: Number(panels.mainWidth) });
+      place("Width", left, { width: Number(panels.leftWidth) });
     }
     if (now === "wide" || were === "wide" || now === "narrow")
       place("Collapsed", left, { collapsed: now !== "wide" });
     were = now;
   };
   photoreg.define("panels", ({ dataset }) => {
-    panels = { left: dataset.left, main: dataset.main };
+    panels = { ...dataset };
     arrange();
   });
   for (const query of [wide, narrow]) query.addEventListener("change", arrange);

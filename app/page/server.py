@@ -49,7 +49,7 @@ from app.web.controls import (
 )
 from app.web.help import Help
 from app.web.hints import button_hints
-from app.web.layout import panel_layout
+from app.web.layout import dock
 from app.web.pending_messages import hear_out
 from app.web.uploads import limit_uploads
 from app.web.widgets import Tool, Tools
@@ -145,8 +145,6 @@ class Page:
     def _build(self) -> None:
         gui = self.server.gui
         gui.set_panel_label("photoreg")
-        gui.main_panel.dock_right()
-        gui.main_panel.set_width(324)
         self._bridge = bridge = Bridge(gui, self._limits)
         bridge.on("stop", lambda *_: self.controller.stop_job())
         bridge.on("exporting", self._on_exporting, on=bool)
@@ -170,8 +168,6 @@ class Page:
             overlay = OverlayPanel(gui, self.controller, bridge)
         with left.add_tab("Points", viser.Icon.TARGET_ARROW):
             points = PointsPanel(gui, self.controller, bridge, self._on_picking)
-        left.dock_left()
-        left.set_width(350)
         self._points = points
         self._panels = (project, data, finding, align, refine, export, overlay, points)
         self._run_panels = (refine, overlay)
@@ -189,7 +185,7 @@ class Page:
         self.server.scene.on_click()(cast(Any, clicked))
 
         gui.add_html(button_hints(gui))
-        gui.add_html(panel_layout(gui, left))
+        dock(gui, left)
         self._tour = gui.add_html("")
         self._view_order = align.view_order
         self._command("Undo", "cmd/ctrl", self.session.undo)
