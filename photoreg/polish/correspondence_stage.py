@@ -31,6 +31,7 @@ from photoreg.polish.levenberg_marquardt import (
     minimise,
     total,
 )
+from photoreg.polish.mesh_field import MeshField
 from photoreg.polish.photometric_term import PairTerm
 from photoreg.polish.sandwich_term import SURPRISE, SandwichTerm
 from photoreg.polish.silhouette_term import RimTerm
@@ -186,14 +187,16 @@ def polish_by_correspondences(
         x = step.x
         last = CorrespondenceStep(step, mesh_error, ())
         yield last
-    trusted = [_weighed(term, x) for term in leading]
+    by_mesh = _MeshErrors.of(leading, prior, x)
+    trusted = [_weighed(term, x, by_mesh.scatter_of(term, x)) for term in leading]
     warnings: tuple[str, ...] = ()
     # Colours first: what they add makes an outline that disagrees easier to tell.
     for kind in (PairTerm, RimTerm):
         inner = total([prior, *trusted], x).along(directions)
         covariance = directions @ np.linalg.inv(inner.normal) @ directions.T
         for term in [term for term in others if isinstance(term, kind)]:
-            doubted = _weighed(term, x).doubted(x, covariance)
+            more = by_mesh.scatter_of(term, x)
+            doubted = _weighed(term, x, more).doubted(x, covariance)
             if doubted.surprise < SURPRISE:
                 warnings += (_disagreement(term, names),)
             trusted.append(doubted)
@@ -209,11 +212,58 @@ def polish_by_correspondences(
     yield dataclasses.replace(last, scatter=scatter)
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class _MeshErrors:
+    """What the mesh's own error does to each term, alike over its own length."""
+
+    fields: dict[tuple[int, int], MeshField]
+    """Of the pairs that have correspondences."""
+    scatters: dict[tuple[int, int], Float[np.ndarray, "k k"]]
+    """Of their gradients."""
+    moves: dict[tuple[int, int], Float[np.ndarray, "k k"]]
+    """Covariance by it of the numbers of both cameras."""
+
+    @classmethod
+    def of(
+        cls,
+        terms: Sequence[CorrespondenceTerm],
+        prior: Prior,
+        x: Float[np.ndarray, "p"],
+    ) -> "_MeshErrors":
+        fields, scatters, moves = {}, {}, {}
+        for term in terms:
+            field, scatter = term.mesh_scatter(x)
+            held = prior.precision[np.ix_(term.rows, term.rows)]
+            inverse = np.linalg.inv(term.linearise(x).normal + held)
+            fields[term.pair], scatters[term.pair] = field, scatter
+            moves[term.pair] = inverse @ scatter @ inverse
+        return cls(fields, scatters, moves)
+
+    def scatter_of(
+        self, term: CorrespondenceTerm | PairTerm | RimTerm, x: Float[np.ndarray, "p"]
+    ) -> Float[np.ndarray, "k k"]:
+        """Covariance of the term's gradient at ``x``, of its ``rows``."""
+        if isinstance(term, RimTerm):
+            own = [field for pair, field in self.fields.items() if term.photo in pair]
+            field = max(own, key=lambda one: one.sigma, default=MeshField(0.0, 0.0))
+            return term.mesh_scatter(x, field)
+        if term.pair not in self.scatters:
+            return np.zeros((len(term.rows),) * 2)
+        if isinstance(term, CorrespondenceTerm):
+            return self.scatters[term.pair]
+        # What it does to the cameras by correspondences, it does by colours as well.
+        normal = term.linearise(x).normal
+        return normal @ self.moves[term.pair] @ normal
+
+
 def _weighed(
-    term: CorrespondenceTerm | PairTerm | RimTerm, x: np.ndarray
+    term: CorrespondenceTerm | PairTerm | RimTerm,
+    x: Float[np.ndarray, "p"],
+    more: Float[np.ndarray, "k k"],
 ) -> SandwichTerm:
+    """The term, its scatter being that of its blocks and ``more``."""
     model = term.linearise(x).handy(len(x))
-    scatter = term.scatter(x)
+    scatter = term.scatter(x) + more
     if model.rows is None:
         scatter = among_all(scatter, term.rows, len(x))
     return SandwichTerm.measured(term, model.normal, scatter)

@@ -22,6 +22,7 @@ from photoreg.polish.levenberg_marquardt import (
     own_end,
     scatter,
 )
+from photoreg.polish.mesh_field import MeshField, fit_mesh_field
 from photoreg.polish.patch_kernels import WINDOW_SIGMA, transfer_equations
 
 CUT = 2.0
@@ -32,6 +33,8 @@ NOISE_PASSES = 3
 """How often the noise is measured where the term would go with the noise before."""
 CHI_SQUARE_MEDIAN = 0.4549
 """Median of the square of a standard normal number."""
+MIN_CELLS = 20
+"""Fewer do not tell how far the mesh's error is alike."""
 WINDOW_PX2 = 4.0 * np.pi * WINDOW_SIGMA**2
 """Area of a patch's window: patches nearer to each other tell the same in part."""
 
@@ -77,8 +80,6 @@ class CorrespondenceTerm:
             cell_px: Side of a cell in pixels of the first view.
             weight: Of an independent correspondence.
         """
-        # Each place is found twice, from either photo to the other.
-        share = 0.5 * min(1.0, ways[0].stride_px * ways[1].stride_px / WINDOW_PX2)
         sorted_ways, cells = [], []
         for way, first_px in zip(ways, (ways[0].own_px, ways[1].other_px), strict=True):
             key = cell_keys(np.floor(first_px / cell_px).astype(np.int64))
@@ -91,7 +92,7 @@ class CorrespondenceTerm:
             cells=(cells[0], cells[1]),
             sizes=sizes,
             increments=increments,
-            weight=weight * share,
+            weight=weight * _share(ways),
         )
         at = x
         for _ in range(NOISE_PASSES):
@@ -154,6 +155,52 @@ class CorrespondenceTerm:
     def scatter(self, x: Float[np.ndarray, "p"]) -> Float[np.ndarray, "k k"]:
         """Covariance of the gradient at ``x``, of ``rows``."""
         return scatter(*self._own_scores(x))
+
+    def mesh_scatter(
+        self, x: Float[np.ndarray, "p"]
+    ) -> tuple[MeshField, Float[np.ndarray, "k k"]]:
+        """The mesh's own error, and the covariance by it of the gradient at ``x``.
+
+        The latter is of ``rows``. Both are 0 where there are too few cells to tell.
+        """
+        keys, cell = np.unique(np.concatenate(self.cells), return_inverse=True)
+        n, m, p = len(cell), len(keys), len(self.rows)
+        by_mesh, by_cameras = np.zeros((m, p)), np.zeros((m, p))
+        known, errors, places, counts = (np.zeros((m, k)) for k in (1, 1, 3, 1))
+        begin = 0
+        for (error, J), way in zip(self.residuals(x), self.ways, strict=True):
+            own = cell[begin : begin + len(error)]
+            begin += len(error)
+            whitening = self._whitening(way)
+            squares = (np.einsum("nij,nj->ni", whitening, error) ** 2).sum(axis=1)
+            trust = 1.0 / (1.0 + squares / CUT**2)
+            pull = np.einsum("nji,njk,nk->ni", whitening, whitening, way.along_normal)
+            np.add.at(
+                by_mesh,
+                own,
+                self.weight * trust[:, None] * np.einsum("ni,nip->np", pull, J),
+            )
+            alone = way.covariance + self.sigma_px**2 * np.eye(2)
+            pull = np.linalg.solve(alone, way.along_normal[:, :, None])[:, :, 0]
+            pull *= _share(self.ways) * trust[:, None]
+            np.add.at(by_cameras, own, np.einsum("ni,nip->np", pull, J))
+            np.add.at(known, own, (pull * way.along_normal).sum(axis=1, keepdims=True))
+            np.add.at(errors, own, (pull * error).sum(axis=1, keepdims=True))
+            np.add.at(places, own, way.points)
+            np.add.at(counts, own, 1.0)
+        assert begin == n
+        told = known[:, 0] > 1e-6 * np.median(known)
+        if told.sum() < MIN_CELLS:
+            return MeshField(0.0, 0.0), np.zeros((p, p))
+        places = (places / counts)[told]
+        known = known[told]
+        field = fit_mesh_field(
+            (errors[told] / known)[:, 0],
+            1.0 / known[:, 0],
+            by_cameras[told] / known,
+            places,
+        )
+        return field, field.scatter(places, by_mesh[told])
 
     def with_noise_of(self, x: Float[np.ndarray, "p"]) -> "CorrespondenceTerm":
         """The term with the noise that its residuals have at ``x``.
@@ -232,6 +279,14 @@ class CorrespondenceTerm:
     def _own_end(self, x: np.ndarray) -> np.ndarray:
         limits = np.concatenate([one.limits for one in self.increments])
         return own_end(self.linearise(x), x, limits, self.rows)
+
+
+def _share(ways: tuple[Correspondences, Correspondences]) -> float:
+    """How much of a correspondence is its own: others tell the same in part.
+
+    Each place is found twice, from either photo to the other, and windows overlap.
+    """
+    return 0.5 * min(1.0, ways[0].stride_px * ways[1].stride_px / WINDOW_PX2)
 
 
 def extra_variance(

@@ -29,6 +29,7 @@ from photoreg.polish.levenberg_marquardt import (
     own_end,
     scatter,
 )
+from photoreg.polish.mesh_field import MeshField
 
 CUT = 2.0
 """Scale of the Cauchy cost in residual sigmas."""
@@ -316,16 +317,8 @@ class RimTerm:
         residual, rows = self._residuals(x)
         weights, error, cost = self._offsets(residual)
         J = -np.einsum("nd,ndp->np", self.rim.normals, rows) / self.sigma
-        starts = self.cell_starts
-        # The segments' offsets and the outline's, eliminated.
-        A = np.column_stack([J, np.ones(len(J))])
-        wA = weights[:, None] * A
-        normal = A.T @ wA
-        sums = np.add.reduceat(wA, starts[:-1], axis=0)
-        precision = self.weight * (self.sigma / self.tau) ** 2
-        totals = np.add.reduceat(weights, starts[:-1]) + precision
-        normal -= (sums / totals[:, None]).T @ sums
-        last = normal[-1, -1] + (self.sigma / self.outline) ** 2
+        *_, normal, last = self._system(J, weights)
+        # Without the outline's offset, too.
         normal = normal[:-1, :-1] - np.outer(normal[:-1, -1], normal[-1, :-1]) / last
         return Quadratic(cost, J.T @ (weights * error), normal, self.rows)
 
@@ -337,6 +330,47 @@ class RimTerm:
     def scatter(self, x: Float[np.ndarray, "p"]) -> Float[np.ndarray, "k k"]:
         """Covariance of the gradient at ``x``, of ``rows``."""
         return scatter(*self._own_scores(x))
+
+    def mesh_scatter(
+        self, x: Float[np.ndarray, "p"], field: MeshField
+    ) -> Float[np.ndarray, "k k"]:
+        """Covariance of the gradient at ``x``, of ``rows``, by the mesh's own error.
+
+        Each segment is off as a whole; what offsets take of that is not in it.
+        """
+        residual, rows = self._residuals(x)
+        weights, _, _ = self._offsets(residual)
+        J = -np.einsum("nd,ndp->np", self.rim.normals, rows) / self.sigma
+        camera = self.increments.camera(x[self._own]).resized(*self.size)
+        depth = camera.to_camera(self.rim.points)[:, 2]
+        by_mesh = camera.focal_px / depth / self.sigma
+        A, sums, totals, normal, last = self._system(J, weights)
+        starts = self.cell_starts[:-1]
+        slopes = np.add.reduceat((weights * by_mesh)[:, None] * A, starts)
+        taken = np.add.reduceat(weights * by_mesh, starts) / totals
+        slopes -= taken[:, None] * sums
+        slopes = slopes[:, :-1] - np.outer(slopes[:, -1], normal[-1, :-1]) / last
+        places = cell_means(self.rim.points, self.cell_starts)
+        return field.scatter(places, slopes)
+
+    def _system(
+        self, J: np.ndarray, weights: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
+        """The normal equations with the segments' offsets eliminated.
+
+        Returns:
+            Rows of the camera's numbers and of the outline's offset; their weighted sums
+            over each segment; what each segment's offset is divided by; the normal
+            matrix; and what the outline's offset is divided by.
+        """
+        A = np.column_stack([J, np.ones(len(J))])
+        wA = weights[:, None] * A
+        sums = np.add.reduceat(wA, self.cell_starts[:-1], axis=0)
+        precision = self.weight * (self.sigma / self.tau) ** 2
+        totals = np.add.reduceat(weights, self.cell_starts[:-1]) + precision
+        normal = A.T @ wA - (sums / totals[:, None]).T @ sums
+        last = float(normal[-1, -1]) + (self.sigma / self.outline) ** 2
+        return A, sums, totals, normal, last
 
     def _own_scores(
         self, x: np.ndarray

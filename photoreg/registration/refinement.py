@@ -44,6 +44,7 @@ from photoreg.registration.verdict import (
     decide_verdict,
     doubting_the_centre,
     doubting_the_lens,
+    doubting_the_scan,
     failing_photos,
     far_centre_sentence,
     is_better,
@@ -462,10 +463,18 @@ class _Run:
             self.uncertainty = estimate_uncertainty(self.mesh, answer, self._names)
             expected_error_px = self.uncertainty.expected_error_px
             self.mesh_error = answer.mesh_error
+            if self.verdict is not None and self.mesh_error is not None:
+                self.verdict = doubting_the_scan(
+                    self.verdict, expected_error_px * 1024.0 / self._mean_width_px
+                )
         yield dataclasses.replace(
             self._progress("polish", "polish done", 1.0, answer.cost, answer.cost),
             expected_error_px=expected_error_px,
         )
+
+    @property
+    def _mean_width_px(self) -> float:
+        return float(np.mean([photo.width for photo in self.photos]))
 
     def _is_no_better(
         self, step: PolishStep, answer: Disagreement, start: Disagreement

@@ -44,6 +44,11 @@ MISSED_LENS_PX = 0.3
 principal point go, moves the surface, from which an answer without is doubted."""
 
 
+OPEN_PX = 1.0
+"""Expected error, in pixels of a photo 1,024 px wide, above which cameras are not called
+convincing where the scan is what is wrong: a texture is blurred by as much."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Verdict:
     """How far an answer is to be believed.
@@ -173,6 +178,23 @@ def doubting_the_centre(verdict: Verdict, names: Sequence[str]) -> Verdict:
         "plausible",
         "Plausible: the photos agree on the surface, and the outlines fit, but the "
         f"principal point of {listed(names)} may be farther off than it was let go.",
+    )
+
+
+def doubting_the_scan(verdict: Verdict, expected_error_px: float) -> Verdict:
+    """The verdict where a wrong scan leaves the cameras open.
+
+    Args:
+        verdict: What colours and outlines say.
+        expected_error_px: In pixels of a photo 1,024 px wide.
+    """
+    if verdict.grade != "convincing" or expected_error_px <= OPEN_PX:
+        return verdict
+    return Verdict(
+        "plausible",
+        "Plausible: the photos agree on the surface, and the outlines fit, but scan and "
+        "photos disagree so far that the cameras are expected to be off by about "
+        f"{expected_error_px:.1f} px at a width of 1,024.",
     )
 
 

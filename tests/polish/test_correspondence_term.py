@@ -12,9 +12,11 @@ from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.surface_view import surface_views
 from photoreg.parameters.bounds import PriorScales
 from photoreg.parameters.increments import Increments
+from photoreg.polish import correspondence_term
 from photoreg.polish.correspondence_term import CorrespondenceTerm, extra_variance
 from photoreg.polish.correspondences import find_correspondences
 from photoreg.polish.levenberg_marquardt import Damping, Prior, minimise
+from photoreg.polish.mesh_field import MeshField
 from photoreg.polish.patch_kernels import HALF, SIDE, WINDOW_SIGMA, match_patches
 from tests.polish_scene import make_polish_scene, projection_error_px
 
@@ -256,3 +258,60 @@ def test_the_number_of_threads_changes_no_bit(scene):
     for model in answers[1:]:
         assert np.array_equal(model.gradient, answers[0].gradient)
         assert np.array_equal(model.normal, answers[0].normal)
+
+
+def test_a_wrong_mesh_moves_the_gradient_as_far_as_it_says(scene, monkeypatch):
+    term, x = term_at(scene, scene.cameras)
+    field = MeshField(0.002 * scene.mesh.diagonal, 0.1 * scene.mesh.diagonal)
+    monkeypatch.setattr(correspondence_term, "fit_mesh_field", lambda *_: field)
+    found_field, scatter = term.mesh_scatter(x)
+    assert found_field is field
+    points = np.concatenate([way.points for way in term.ways])
+    covariance = field.covariance(points) + 1e-8 * field.sigma**2 * np.eye(len(points))
+    factor = np.linalg.cholesky(covariance)
+    still = term.linearise(x).gradient
+    rng = np.random.default_rng(0)
+    # So small that the robust cost stays a parabola.
+    size, moves = 1e-3, []
+    for _ in range(400):
+        error = size * (factor @ rng.standard_normal(len(points)))
+        parts = np.split(error, [len(term.ways[0].points)])
+        ways = tuple(
+            dataclasses.replace(
+                way, own_px=way.own_px + part[:, None] * way.along_normal
+            )
+            for way, part in zip(term.ways, parts, strict=True)
+        )
+        moved = dataclasses.replace(term, ways=ways).linearise(x).gradient
+        moves.append((moved - still) / size)
+    seen = np.cov(np.array(moves).T, bias=True)
+    values, vectors = np.linalg.eigh(scatter)
+    for along in vectors.T[values > 1e-3 * values.max()]:
+        ratio = np.sqrt((along @ seen @ along) / (along @ scatter @ along))
+        assert 0.7 < ratio < 1.4, ratio
+
+
+def test_too_few_cells_tell_nothing_of_the_mesh(scene):
+    term, x = term_at(scene, scene.cameras)
+    ways = tuple(
+        dataclasses.replace(
+            way,
+            **{
+                name: getattr(way, name)[:10]
+                for name in (
+                    "points",
+                    "own_px",
+                    "shifts_px",
+                    "other_px",
+                    "transfer",
+                    "along_normal",
+                    "covariance",
+                )
+            },
+        )
+        for way in term.ways
+    )
+    cells = tuple(cells[:10] for cells in term.cells)
+    field, scatter = dataclasses.replace(term, ways=ways, cells=cells).mesh_scatter(x)
+    assert field == MeshField(0.0, 0.0)
+    assert not scatter.any()

@@ -10,6 +10,7 @@ from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.surface_view import surface_view
 from photoreg.parameters.bounds import PriorScales
 from photoreg.parameters.increments import Increments
+from photoreg.polish.mesh_field import MeshField
 from photoreg.polish.silhouette_term import (
     SEGMENT_POINTS,
     RimTerm,
@@ -176,3 +177,34 @@ def test_the_rim_of_a_photo_that_is_cut_out_is_found_on_the_border_of_its_mask(s
     offset = find_edges(cut, view, rim, 6.0).offset_px
     assert np.isfinite(offset).mean() > 0.8
     assert abs(np.nanmedian(offset)) < 0.2, np.nanmedian(offset)
+
+
+def test_a_wrong_mesh_moves_the_gradient_as_far_as_it_says(scene):
+    camera = scene.cameras[0]
+    view = surface_view(scene.mesh, camera)
+    rim = find_rim(scene.mesh, view, 800)
+    increments = Increments(camera, scene.mesh.centroid, PriorScales())
+    edges = find_edges(scene.photos[0], view, rim, 6.0)
+    size_px = (camera.width, camera.height)
+    term = RimTerm.measured(0, rim, edges, size_px, increments, 1.0, 0.5)
+    assert term is not None
+    x = np.zeros(increments.n)
+    field = MeshField(0.001 * scene.mesh.diagonal, 0.1 * scene.mesh.diagonal)
+    scatter = term.mesh_scatter(x, field)
+    points = term.rim.points
+    covariance = field.covariance(points) + 1e-8 * field.sigma**2 * np.eye(len(points))
+    factor = np.linalg.cholesky(covariance)
+    px_per_unit = camera.focal_px / camera.to_camera(points)[:, 2]
+    still = term.linearise(x).gradient
+    rng = np.random.default_rng(0)
+    size, moves = 1e-3, []
+    for _ in range(400):
+        error_px = size * (factor @ rng.standard_normal(len(points))) * px_per_unit
+        moved = term.edges + error_px[:, None] * term.rim.normals
+        gradient = dataclasses.replace(term, edges=moved).linearise(x).gradient
+        moves.append((gradient - still) / size)
+    seen = np.cov(np.array(moves).T, bias=True)
+    values, vectors = np.linalg.eigh(scatter)
+    for along in vectors.T[values > 0.05 * values.max()]:
+        ratio = np.sqrt((along @ seen @ along) / (along @ scatter @ along))
+        assert 0.6 < ratio < 1.5, ratio

@@ -21,6 +21,7 @@ from photoreg.registration.verdict import (
     decide_verdict,
     doubting_the_centre,
     doubting_the_lens,
+    doubting_the_scan,
     is_better,
     missed_lens_sentence,
 )
@@ -228,6 +229,16 @@ def test_a_lens_that_was_held_and_bends_makes_a_convincing_end_plausible():
         verdict = Verdict(grade, "...")
         assert doubting_the_lens(verdict) is verdict
     assert "--distortion auto" in missed_lens_sentence(1.23)
+
+
+def test_a_scan_that_leaves_the_cameras_open_makes_a_convincing_end_plausible():
+    convincing = Verdict("convincing", "Convincing: all fits.")
+    assert doubting_the_scan(convincing, 0.9) is convincing
+    doubted = doubting_the_scan(convincing, 2.34)
+    assert doubted.grade == "plausible"
+    assert "2.3 px" in doubted.sentence
+    wrong = Verdict("unconvincing", "...")
+    assert doubting_the_scan(wrong, 5.0) is wrong
 
 
 def test_a_principal_point_on_its_border_makes_a_convincing_end_plausible():
