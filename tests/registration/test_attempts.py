@@ -79,6 +79,7 @@ def test_where_neither_convinces_the_first_answer_stays_and_both_are_told(config
     assert isinstance(last, Finished)
     assert configs == [QUICK, dataclasses.replace(QUICK, seed=1)]
     *_, alone = refine(scene.mesh, photos, scene.rough_cameras, QUICK)
+    assert isinstance(alone, Finished)
     assert last.cameras == alone.cameras
     assert "did not convince either" in last.reason
     assert last.generations == 2 * alone.generations
