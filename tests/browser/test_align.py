@@ -339,7 +339,7 @@ def test_numbers_typed_key_by_key_are_taken_or_refused_in_one_sentence(app):
         20,
     )
     angled = camera_of(app)
-    box = driver.page.get_by_label("Turn, tilt, roll")
+    box = driver.page.get_by_label("Turn, tilt, roll").first
     box.click()
     driver.page.keyboard.press("Control+a")
     driver.page.keyboard.type("12", delay=60)
@@ -352,7 +352,7 @@ def test_numbers_typed_key_by_key_are_taken_or_refused_in_one_sentence(app):
     assert app.state.undo_name == "Direction 1"
     assert camera_of(app).center == pytest.approx(angled.center), "on the spot"
     now = camera_of(app)
-    box = driver.page.get_by_label("Principal point")
+    box = driver.page.get_by_label("Principal point").first
     box.click()
     driver.page.keyboard.press("Control+a")
     driver.page.keyboard.type("99999", delay=30)
