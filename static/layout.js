@@ -113,7 +113,7 @@
   const nameAll = () => {
     for (const label of document.querySelectorAll("label[for]")) {
       const row = label.parentElement?.parentElement?.parentElement;
-      const fields = row?.querySelectorAll("input,textarea,[role=slider]") ?? [];
+      const fields = row?.querySelectorAll("input:not([type=hidden]),textarea,[role=slider]") ?? [];
       for (const field of fields) if (field.id !== label.htmlFor) name(field, label.textContent);
     }
     for (const [icon, text] of Object.entries(ICONS)) {

@@ -105,8 +105,8 @@
   ${triple} .mantine-NumberInput-section{display:none}
   ${triple} input{padding-inline:.35em!important}
   .mantine-Modal-content:has(.pr-keys){--modal-size:46rem}
-  :root[data-mantine-color-scheme=dark]{--mantine-color-dimmed:#a3a3a3}
-  :root[data-mantine-color-scheme=light]{--mantine-color-dimmed:#5c656d;
+  :root:root[data-mantine-color-scheme=dark]{--mantine-color-dimmed:#a3a3a3}
+  :root:root[data-mantine-color-scheme=light]{--mantine-color-dimmed:#5c656d;
     --mantine-color-gray-filled:#495057;--mantine-color-gray-filled-hover:#343a40;
     --mantine-color-red-filled:#d42a2a;--mantine-color-red-filled-hover:#b82323;
     --mantine-primary-color-filled:#14857a}

@@ -39,7 +39,11 @@
     card.style.setProperty("--at", `${box.left + box.width / 2 - left - 7}px`);
   };
   const end = () => {
-    localStorage.setItem(SEEN, "seen");
+    try {
+      localStorage.setItem(SEEN, "seen");
+    } catch {
+      // Who lets pages keep nothing gets the hints each time.
+    }
     card?.remove();
     card = null;
     removeEventListener("resize", place);
@@ -65,6 +69,13 @@
     place();
     card.querySelector("[data-next]").focus({ preventScroll: true });
   };
+  const wasSeen = () => {
+    try {
+      return localStorage.getItem(SEEN) === "seen";
+    } catch {
+      return false;
+    }
+  };
   const begin = () => {
     if (card || !tab("1 Data")) return;
     step = 0;
@@ -84,6 +95,6 @@
   };
   // It opens by itself once on the demo, and again whenever the help asks for it.
   photoreg.define("tour", ({ dataset }) => {
-    if (dataset.again || localStorage.getItem(SEEN) !== "seen") setTimeout(begin, 300);
+    if (dataset.again || !wasSeen()) setTimeout(begin, 300);
   });
 })();

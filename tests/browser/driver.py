@@ -94,7 +94,10 @@ class Driver:
         """``tour``: as who has never seen the page, and gets its hints on the demo."""
         self.page = page
         if not tour:
-            page.add_init_script("localStorage.setItem('photoreg-tour', 'seen')")
+            # Empty pages, between two, have no storage.
+            page.add_init_script(
+                "if (origin !== 'null') localStorage.setItem('photoreg-tour', 'seen')"
+            )
         hear_complaints(page)
         if still:
             page.emulate_media(reduced_motion="reduce")

@@ -35,7 +35,7 @@ def serious(page: Page, theme: str) -> list[str]:
         "async options => (await axe.run(document, options)).violations", options
     )
     return [
-        f"{rule['id']}: {node['target']} {node['html'][:200]}"
+        f"{rule['id']}: {node['target']} {node['html'][:200]} {node['failureSummary']}"
         for rule in found
         if rule["impact"] in ("serious", "critical")
         for node in rule["nodes"]
