@@ -60,6 +60,7 @@ class BreaksInPolish(RegistrationConfig):
 def test_a_run_that_breaks_midway_is_told_kept_and_logged_and_goes_on(app, tmp_path):
     handler = log_into(tmp_path)
     assert handler is not None
+    app.driver.dismiss_toasts()  # That of the run before says the same.
     broken = BreaksInPolish(**vars(QUICK))
     try:
         app.session.change(None, setting(config=broken))
@@ -114,7 +115,7 @@ class StarvesInPolish(RegistrationConfig):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits memory as Linux does")
-@pytest.mark.errors("Refine failed")
+@pytest.mark.errors("Refine failed", "The worker process died")
 def test_a_run_without_memory_for_its_polish_ends_and_the_next_one_works(app):
     worker = app.controller.worker
     fast = RegistrationConfig.preset("fast")
