@@ -1,11 +1,9 @@
 """`photoreg`: the app when no command is named, else the command line."""
 
 import atexit
-import contextlib
 import os
 import signal
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 if (
@@ -17,26 +15,9 @@ if (
     # started from here: somebody's own app.py there would be taken for ours.
     del sys.path[0]
 
+from photoreg.cli.stopping import ctrl_c_ends_at_once
 from photoreg.errors import InputError
 from photoreg.limits import check_address_space, keep_blas_to_one_thread
-
-
-@contextlib.contextmanager
-def _ctrl_c_ends_at_once() -> Iterator[None]:
-    """While there is nothing to clean up: among imports, a KeyboardInterrupt is lost."""
-    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        yield  # A shell starts background programs deaf to Ctrl-C.
-        return
-
-    def end(*_: object) -> None:
-        with contextlib.suppress(OSError):
-            os.write(2, b"Stopped.\n")
-        os._exit(1)
-
-    signal.signal(signal.SIGINT, end)
-    yield
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-
 
 keep_blas_to_one_thread()
 try:
@@ -44,7 +25,7 @@ try:
 except InputError as error:
     sys.stderr.write(f"photoreg: {error}\n")
     sys.exit(2)
-with _ctrl_c_ends_at_once():
+with ctrl_c_ends_at_once():
     # They take a second or two.
     from photoreg.cli import commands
 

@@ -11,6 +11,7 @@ from typing import Annotated
 
 import tyro
 
+from photoreg.cli.stopping import ctrl_c_ends_at_once
 from photoreg.errors import InputError
 
 ENTRY_POINTS = "photoreg.apps"
@@ -79,7 +80,8 @@ def find_app() -> Callable[..., int]:
     entry = next(iter(found))
     package = entry.module.partition(".")[0]
     try:
-        return entry.load()
+        with ctrl_c_ends_at_once():
+            return entry.load()
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != package:
             raise

@@ -1,9 +1,31 @@
-"""Ctrl-C while something goes on that can be stopped."""
+"""Ctrl-C: what it ends at once, and what it asks to stop."""
 
 import contextlib
+import os
 import signal
 import threading
 from collections.abc import Iterator
+
+
+@contextlib.contextmanager
+def ctrl_c_ends_at_once() -> Iterator[None]:
+    """While there is nothing to clean up: among imports, a KeyboardInterrupt is lost.
+
+    Or worse: passing through the code that makes a data class it has Python kill itself
+    at its very end, though it was caught.
+    """
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield  # A shell starts background programs deaf to Ctrl-C.
+        return
+
+    def end(*_: object) -> None:
+        with contextlib.suppress(OSError):
+            os.write(2, b"Stopped.\n")
+        os._exit(1)
+
+    signal.signal(signal.SIGINT, end)
+    yield
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @contextlib.contextmanager
