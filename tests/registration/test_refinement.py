@@ -71,9 +71,9 @@ def test_the_default_preset_finds_the_cameras():
     assert phases == {"prepare", "search", "polish"}
     # Each level of the polish tells it, and the last one of them to what is told at the end.
     told = {event.expected_error_px for event in events if isinstance(event, Progress)}
-    # The finest is done once more, without the lens that nothing shows; the last of all is
-    # that of the correspondences.
-    assert len(told) == 3 + len(RegistrationConfig().polish.blurs_px), told
+    # None is done twice: the lens that nothing shows was left before the finest. The last
+    # of all is that of the correspondences.
+    assert len(told) == 2 + len(RegistrationConfig().polish.blurs_px), told
     assert events[-1].expected_error_px == last.expected_error_px
     assert len(last.expected_errors_px) == len(last.standard_errors) == 2
     assert last.expected_error_px is not None
