@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from app.control.run_control import must_be_idle
+from app.control.run_control import must_be_idle, must_be_ready
 from app.engine.client import Worker
 from app.model import reducers
 from app.model import session as rules
@@ -31,25 +31,21 @@ class CameraFinder:
             only_selected: The selected photo's alone, which may have been placed.
 
         Raises:
-            InputError: if there is no mesh, or no such photo in use.
+            RefinementError: if there is no mesh, or no photo in use.
+            InputError: if there is no such photo among those.
         """
         with self._lock:
             state = self._session.state
-            must_be_idle(state)
-            document = state.document
-            if document.mesh is None:
-                raise InputError("There is no mesh yet. Load one in the Data tab.")
+            must_be_ready(state)
             wanted = _wanted(state, only_selected)
             if not wanted:
                 raise InputError(
                     "Every camera has been placed already. Find this photo's alone, or "
                     "reset those that are wrong."
-                    if document.used
-                    else "No photo is in use. Add one, or tick one, in the Data tab."
                 )
             job = Job("Finding the cameras", can_stop=True)
             self._session.change(None, rules.setting(job=job, found=()))
-            self._send_scene(document)
+            self._send_scene(state.document)
             self._worker.send(FindCameras(wanted))
 
     def heard(self, event: CamerasFound) -> None:

@@ -35,14 +35,8 @@ class RunControl:
         """
         with self._lock:
             state = self._session.state
-            must_be_idle(state)
+            must_be_ready(state)
             document = state.document
-            if document.mesh is None:
-                raise RefinementError("There is no mesh yet. Load one in the Data tab.")
-            if not document.used:
-                raise RefinementError(
-                    "No photo is in use. Add one, or tick one, in the Data tab."
-                )
             cameras, settings = document.used_cameras, state.settings
             run = Run(
                 status="starting",
@@ -200,6 +194,21 @@ def report_of(state: State, compared: Compared) -> RunReport:
         cameras=run.cameras,
         config=run.config,
     )
+
+
+def must_be_ready(state: State) -> None:
+    """Refuses what needs a mesh and photos, and nothing else going on.
+
+    Raises:
+        RefinementError: if one of these is missing.
+    """
+    must_be_idle(state)
+    if state.document.mesh is None:
+        raise RefinementError("There is no mesh yet. Load one in the Data tab.")
+    if not state.document.used:
+        raise RefinementError(
+            "No photo is in use. Add one, or tick one, in the Data tab."
+        )
 
 
 def must_be_idle(state: State) -> None:

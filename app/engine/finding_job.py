@@ -36,9 +36,9 @@ def finding(mesh: Mesh, photos: Sequence[Photo]) -> Iterator[Working | CamerasFo
 
 
 def _pictured(mesh: Mesh, photo: Photo, placement: Placement) -> FoundCamera:
-    small = dataclasses.replace(photo, mask=None)
+    whole = dataclasses.replace(photo, mask=None)
     pictures = tuple(
-        encode_jpeg(pose_picture(mesh, small, camera, PICTURE_PX), 80)
+        encode_jpeg(pose_picture(mesh, whole, camera, PICTURE_PX), 80)
         for camera in placement.candidates
     )
     return FoundCamera(

@@ -191,12 +191,7 @@ def ended(state: State, event: Refined) -> State:
 
 def found(state: State, event: CamerasFound) -> State:
     """Cameras that were looked for stand where they may be; the rest stays."""
-    document = state.document
     cameras = {one.photo: one.candidates[0] for one in event.found if one.candidates}
-    photos = tuple(
-        dataclasses.replace(entry, camera=cameras.get(entry.name, entry.camera))
-        for entry in document.photos
-    )
     names = {
         grade: [one.photo for one in event.found if one.grade == grade]
         for grade in ("found", "unsure", "not found")
@@ -211,8 +206,7 @@ def found(state: State, event: CamerasFound) -> State:
         if names[grade]
     ]
     return dataclasses.replace(
-        state,
-        document=dataclasses.replace(document, photos=photos),
+        rules.with_cameras(cameras)(state),
         found=event.found,
         job=None,
         note=" ".join(parts),

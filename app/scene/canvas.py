@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from app.model.camera_moves import DisplayFrame
-from photoreg.geometry.camera import Camera
+from photoreg.geometry.camera import Camera, centred_intrinsics
 
 SURROUND = {True: (38, 41, 48), False: (229, 232, 237)}
 """Around the photo that is looked through, on a dark and on a light page."""
@@ -48,9 +48,7 @@ def warped_photo(
     Canvas pixel (x, y), centre of the first at 0, shows the ray
     ((x - (w - 1) / 2) / focal, (y - (h - 1) / 2) / focal, 1).
     """
-    C = np.array(
-        [[focal, 0, 0.5 * (width - 1)], [0, focal, 0.5 * (height - 1)], [0, 0, 1]]
-    )
+    C = centred_intrinsics(focal, width, height)
     M = (C @ np.linalg.inv(camera.K))[:2]
     return cv2.warpAffine(
         pixels,

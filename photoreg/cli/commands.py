@@ -24,15 +24,13 @@ from photoreg.cli.console import log, print_json, print_notes, progress_bar
 from photoreg.cli.convert import convert_command
 from photoreg.cli.place import place_command
 from photoreg.cli.refine import make_refine_command
-from photoreg.cli.scene import MeshPath
+from photoreg.cli.scene import MeshPath, surface_told
 from photoreg.cli.stopping import asked_to_stop
 from photoreg.cli.texture import texture_command
 from photoreg.cli.undistort import undistort_command
 from photoreg.errors import InputError, OutputError, PhotoregError
 from photoreg.formats.cameras.cameras_json import CameraFile
 from photoreg.formats.cameras.registry import read_cameras
-from photoreg.formats.meshes.read import load_mesh
-from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.projection_error import projection_error
 from photoreg.paper.reproduce import Reproduced, reproduce
 from photoreg.registration.config import PresetName, RegistrationConfig
@@ -85,7 +83,7 @@ def evaluate_command(
         truth: The true cameras; photos are matched by name.
         json: Print the figures as JSON on standard output.
     """
-    surface = _surface(mesh)
+    surface = surface_told(mesh)
     estimated, true = (
         _told(in_world_of_mesh(surface, (), read_cameras(path))).cameras
         for path in (cameras, truth)
@@ -245,10 +243,3 @@ def _told(file: CameraFile) -> CameraFile:
     """Cameras whose notes were printed."""
     print_notes(file.notes)
     return file
-
-
-def _surface(path: Path) -> Mesh:
-    """The mesh of a file; prints a note for each thing that was left out."""
-    surface = load_mesh(path)
-    print_notes(f"{surface.name}: {note}" for note in surface.notes)
-    return surface

@@ -6,14 +6,13 @@ from typing import Annotated
 
 import tyro
 
-from photoreg.cli.console import log, print_json, print_notes, progress_bar
-from photoreg.cli.scene import MeshPath, PhotoPaths
+from photoreg.cli.console import log, print_json, progress_bar
+from photoreg.cli.scene import MeshPath, PhotoPaths, surface_told
 from photoreg.cli.stopping import asked_to_stop
 from photoreg.errors import InputError
 from photoreg.formats.cameras.cameras_json import CameraFile, save_cameras
 from photoreg.formats.cameras.registry import photos_by_name
 from photoreg.formats.mark import marked_picture
-from photoreg.formats.meshes.read import load_mesh
 from photoreg.formats.photos.read import load_photo
 from photoreg.formats.writing import (
     Content,
@@ -167,9 +166,7 @@ def cameras_of_unplaced(
 def _read(mesh: Path, photos: Sequence[Path]) -> tuple[Mesh, list[Photo]]:
     if not photos:
         raise InputError("Give at least 1 photo, not 0.")
-    surface = load_mesh(mesh)
-    print_notes(f"{surface.name}: {note}" for note in surface.notes)
-    return surface, [load_photo(path) for path in photos]
+    return surface_told(mesh), [load_photo(path) for path in photos]
 
 
 def _watch(

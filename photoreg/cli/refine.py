@@ -92,10 +92,12 @@ def make_refine_command(preset: RegistrationConfig) -> Callable[..., int]:
         read = (mesh, *photos) if cameras is None else (mesh, *photos, cameras)
         check_outputs([check_suffix(out, (".json",))], read, overwrite)
         if cameras is None:
-            _refuse_without_cameras(
-                *(only, lock, lock_focal, lock_principal_point),
-                *(lock_pose, lock_distortion),
-            )
+            locks = (lock, lock_focal, lock_principal_point, lock_pose, lock_distortion)
+            if only or any(locks):
+                raise InputError(
+                    "Without --cameras nothing is known that --only or --lock could "
+                    "keep; give the cameras that are right."
+                )
             found = cameras_of_unplaced(mesh, photos, box, config.seed)
             if found is None:
                 return 1
@@ -157,14 +159,6 @@ def make_refine_command(preset: RegistrationConfig) -> Callable[..., int]:
         return 1 if interrupted else 0
 
     return refine_command
-
-
-def _refuse_without_cameras(*held: Sequence[str]) -> None:
-    if any(held):
-        raise InputError(
-            "Without --cameras nothing is known that --only or --lock could keep; give "
-            "the cameras that are right."
-        )
 
 
 def _cropped_by_exif(photos: Sequence[Photo], named: Sequence[str]) -> list[str]:

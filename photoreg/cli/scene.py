@@ -8,6 +8,7 @@ import tyro
 
 from photoreg.cli.console import print_notes
 from photoreg.formats.cameras.cameras_json import CameraFile
+from photoreg.formats.meshes.read import load_mesh
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.imaging.photo import Photo
@@ -18,6 +19,13 @@ MeshPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MESH")]
 PhotoPaths = Annotated[
     tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="PHOTO")
 ]
+
+
+def surface_told(path: Path) -> Mesh:
+    """The mesh of a file; prints a note for each thing that was left out."""
+    surface = load_mesh(path)
+    print_notes(f"{surface.name}: {note}" for note in surface.notes)
+    return surface
 
 
 def load_told(

@@ -231,13 +231,7 @@ class Camera:
         forward = forward / np.linalg.norm(forward)
         right = right / np.linalg.norm(right)
         R = np.stack([right, np.cross(forward, right), forward])
-        K = np.array(
-            [
-                [focal_px, 0.0, 0.5 * (width - 1)],
-                [0.0, focal_px, 0.5 * (height - 1)],
-                [0.0, 0.0, 1.0],
-            ]
-        )
+        K = centred_intrinsics(focal_px, width, height)
         return cls(K, R, -R @ center, width, height)
 
     @classmethod
@@ -265,6 +259,19 @@ class Camera:
         K, R = K @ signs, signs @ R
         K = np.triu(K)
         return cls(K / K[2, 2], R, np.linalg.solve(K, P[:, 3]), width, height)
+
+
+def centred_intrinsics(
+    focal_px: float, width: int, height: int
+) -> Float[np.ndarray, "3 3"]:
+    """K of square pixels, with the principal point in the middle of the photo."""
+    return np.array(
+        [
+            [focal_px, 0.0, 0.5 * (width - 1)],
+            [0.0, focal_px, 0.5 * (height - 1)],
+            [0.0, 0.0, 1.0],
+        ]
+    )
 
 
 def same_camera(a: Camera, b: Camera) -> bool:

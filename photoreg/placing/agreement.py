@@ -17,6 +17,7 @@ from photoreg.geometry.camera import reduced_size
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.sampling import SurfaceSamples, sample_surface
 from photoreg.geometry.visibility import visible
+from photoreg.imaging.blur import blurred_within
 from photoreg.imaging.colour import convert
 from photoreg.imaging.photo import MIN_SIDE_PX, Photo
 from photoreg.placing.outline_candidates import Candidate, differ
@@ -64,15 +65,20 @@ def readings_of(
     size = reduced_size(photo.width, photo.height, SIDE_PX, MIN_SIDE_PX)
     colours = convert(photo.pixels_at(size), "lab")
     inside = cv2.resize(covered.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    detail = _blurred(colours, inside, FINE_PX) - _blurred(colours, inside, COARSE_PX)
+    # The background must not bleed into the object.
+    fine, coarse = (
+        blurred_within(colours, inside, sigma_px) for sigma_px in (FINE_PX, COARSE_PX)
+    )
+    detail = fine - coarse
     cameras = [one.camera.resized(*size) for one in candidates]
     seen = visible(samples, cameras, mesh, "rays", MIN_COSINE)
     values = np.zeros((len(cameras), len(samples), 3))
     for k, camera in enumerate(cameras):
-        pixels = np.rint(camera.project(samples.points[seen[k]])).astype(int)
-        seen[k, seen[k]] = inside[pixels[:, 1], pixels[:, 0]] > 0.5
-        pixels = np.rint(camera.project(samples.points[seen[k]])).astype(int)
-        values[k, seen[k]] = detail[pixels[:, 1], pixels[:, 0]]
+        index = np.flatnonzero(seen[k])
+        columns, rows = np.rint(camera.project(samples.points[index])).astype(int).T
+        is_shown = inside[rows, columns] > 0.5
+        seen[k, index] = is_shown
+        values[k, index[is_shown]] = detail[rows[is_shown], columns[is_shown]]
     best = max(one.overlap for one in candidates)
     deficit = np.array([best - one.overlap for one in candidates])
     return Readings(values, seen.astype(np.float64), deficit)
@@ -81,13 +87,6 @@ def readings_of(
 def surface_points(mesh: Mesh) -> SurfaceSamples:
     """Points by which photos are compared."""
     return sample_surface(mesh, N_POINTS, 0)
-
-
-def _blurred(colours: np.ndarray, inside: np.ndarray, sigma_px: float) -> np.ndarray:
-    """Blurred within the object: the background must not bleed into it."""
-    weights = cv2.GaussianBlur(inside, (0, 0), sigma_px)
-    sums = cv2.GaussianBlur(colours * inside[..., None], (0, 0), sigma_px)
-    return sums / np.maximum(weights, 1e-3)[..., None]
 
 
 def agreements(a: Readings, b: Readings) -> Float[np.ndarray, "k l"]:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from photoreg.geometry.camera import Camera
+from photoreg.geometry.camera import Camera, centred_intrinsics
 from photoreg.geometry.mesh import Mesh
 from photoreg.imaging.photo import Photo
 from photoreg.placing.rim_fit import FIRST_CUT, fit_outline, outline_of
@@ -78,7 +78,7 @@ class OutlineSearch:
                 )
             ]
         ]
-        kept = _distinct(first)[:N_KEPT]
+        kept = distinct(first, SAME_DEG)[:N_KEPT]
         n = N_SECOND if focal_px is not None else N_LADDER
         focals = (
             [None] if focal_px is not None else [share * side for share in FOCAL_LADDER]
@@ -105,8 +105,8 @@ class OutlineSearch:
             for one in kept[n:]
         ]
         if focal_px is None:
-            second = self._with_free_focals(_distinct(second), found)
-        return _distinct([*second, *rest])
+            second = self._with_free_focals(distinct(second, SAME_DEG), found)
+        return distinct([*second, *rest], SAME_DEG)
 
     def _with_free_focals(
         self, candidates: Sequence[Candidate], found: Segmentation
@@ -142,13 +142,7 @@ class OutlineSearch:
 
 
 def _any_camera(photo: Photo, focal_px: float) -> Camera:
-    K = np.array(
-        [
-            [focal_px, 0.0, 0.5 * (photo.width - 1)],
-            [0.0, focal_px, 0.5 * (photo.height - 1)],
-            [0.0, 0.0, 1.0],
-        ]
-    )
+    K = centred_intrinsics(focal_px, photo.width, photo.height)
     return Camera(K, np.eye(3), np.zeros(3), photo.width, photo.height)
 
 
@@ -156,11 +150,11 @@ def _best(candidates: Sequence[Candidate]) -> Candidate:
     return max(candidates, key=lambda one: one.overlap)
 
 
-def _distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """The best of each group of poses that are the same, the best first."""
+def distinct(candidates: Sequence[Candidate], by_deg: float) -> list[Candidate]:
+    """The best of each group of poses that do not differ by so much, the best first."""
     kept: list[Candidate] = []
     for one in sorted(candidates, key=lambda one: -one.overlap):
-        if all(differ(one.camera, other.camera, SAME_DEG) for other in kept):
+        if all(differ(one.camera, other.camera, by_deg) for other in kept):
             kept.append(one)
     return kept
 

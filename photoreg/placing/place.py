@@ -25,7 +25,12 @@ from photoreg.placing.outcome import (
     PlacingGrade,
     PlacingStep,
 )
-from photoreg.placing.outline_candidates import Candidate, OutlineSearch, differ
+from photoreg.placing.outline_candidates import (
+    Candidate,
+    OutlineSearch,
+    differ,
+    distinct,
+)
 from photoreg.placing.segmentation import Segmentation, segment
 
 FITS = 0.98
@@ -131,7 +136,7 @@ def _events(
                 photo,
                 segmented[i],
                 by_photo[i],
-                [choice.chosen[known.index(i)] for choice in choices]
+                [by_photo[i][choice.chosen[known.index(i)]] for choice in choices]
                 if i in known
                 else [],
                 choices[0].margin if choices else None,
@@ -145,7 +150,7 @@ def _placement(
     photo: Photo,
     found: Segmentation | None,
     candidates: Sequence[Candidate],
-    chosen: Sequence[int],
+    chosen: Sequence[Candidate],
     margin: float | None,
 ) -> Placement:
     """What is known of one photo.
@@ -171,8 +176,8 @@ def _placement(
             f"shows. {WHAT_TO_DO}",
             how=found.how,
         )
-    order = list(chosen) or _that_differ(candidates)
-    first = candidates[order[0]]
+    poses = list(chosen) or distinct(candidates, DISTINCT_DEG)
+    first = poses[0]
     ties = [
         one
         for one in candidates
@@ -187,23 +192,12 @@ def _placement(
     return Placement(
         grade,
         sentence,
-        tuple(candidates[k].camera for k in order[:MOST_CANDIDATES]),
+        tuple(one.camera for one in poses[:MOST_CANDIDATES]),
         first.overlap,
         found.how,
         bool(ties),
         about_axis,
     )
-
-
-def _that_differ(candidates: Sequence[Candidate]) -> list[int]:
-    order: list[int] = []
-    for k, one in enumerate(candidates):
-        if all(
-            differ(one.camera, candidates[other].camera, DISTINCT_DEG)
-            for other in order
-        ):
-            order.append(k)
-    return order
 
 
 def _grade(

@@ -12,7 +12,7 @@ import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float
 
-from photoreg.geometry.camera import Camera
+from photoreg.geometry.camera import Camera, centred_intrinsics
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.rasteriser import render_geometry
 
@@ -146,8 +146,7 @@ class SilhouetteGrid:
         distance = self._distance(rung)
         tangent = self.radius / np.sqrt(distance**2 - self.radius**2)
         focal_px = (0.5 * SIDE_PX - 2.0) / tangent
-        middle_px = 0.5 * (SIDE_PX - 1)
-        K = np.array([[focal_px, 0, middle_px], [0, focal_px, middle_px], [0, 0, 1.0]])
+        K = centred_intrinsics(focal_px, SIDE_PX, SIDE_PX)
         R = self._R[viewpoint]
         t = np.array([0.0, 0.0, distance]) - R @ self.middle
         return Camera(K, R, t, SIDE_PX, SIDE_PX)
@@ -257,11 +256,10 @@ def _centred(
     R = np.stack([right, np.cross(axis, right), axis])
     reach = np.hypot(columns - middle[0, 0], rows - middle[0, 1]).max() + 2.0
     focal_px = camera.focal_px * (0.5 * SIDE_PX - 2.0) / reach
-    centre = 0.5 * (SIDE_PX - 1)
-    K = np.array([[focal_px, 0, centre], [0, focal_px, centre], [0, 0, 1.0]])
+    K = centred_intrinsics(focal_px, SIDE_PX, SIDE_PX)
     virtual = Camera(K, np.eye(3), np.zeros(3), SIDE_PX, SIDE_PX)
     y, x = np.mgrid[:SIDE_PX, :SIDE_PX].reshape(2, -1)
-    ideal = (np.stack([x, y]) - centre) / focal_px
+    ideal = (np.stack([x, y]) - K[0, 2]) / focal_px
     seen = R.T @ np.vstack([ideal, np.ones(ideal.shape[1])])
     plain = dataclasses.replace(camera, R_cam_world=np.eye(3), t_cam_world=np.zeros(3))
     pixels = plain.project(seen.T)

@@ -164,7 +164,7 @@ class CorrespondenceTerm:
         The latter is of ``rows``. Both are 0 where there are too few cells to tell.
         """
         keys, cell = np.unique(np.concatenate(self.cells), return_inverse=True)
-        n, m, p = len(cell), len(keys), len(self.rows)
+        m, p = len(keys), len(self.rows)
         by_mesh, by_cameras = np.zeros((m, p)), np.zeros((m, p))
         known, errors, places, counts = (np.zeros((m, k)) for k in (1, 1, 3, 1))
         begin = 0
@@ -188,7 +188,6 @@ class CorrespondenceTerm:
             np.add.at(errors, own, (pull * error).sum(axis=1, keepdims=True))
             np.add.at(places, own, way.points)
             np.add.at(counts, own, 1.0)
-        assert begin == n
         told = known[:, 0] > 1e-6 * np.median(known)
         if told.sum() < MIN_CELLS:
             return MeshField(0.0, 0.0), np.zeros((p, p))

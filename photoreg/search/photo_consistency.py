@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Sequence
 
-import cv2
 import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float, Float32
@@ -12,6 +11,7 @@ from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.sampling import SurfaceSamples, surface_patches
+from photoreg.imaging.blur import blurred_within
 from photoreg.imaging.colour import convert
 from photoreg.imaging.photo import Photo
 from photoreg.parameters.genes import GeneMap, Poses
@@ -44,7 +44,7 @@ def stack_photos(photos: Sequence[Photo], config: ConsistencyConfig) -> PhotoSta
         if small.mask is not None:
             valid = small.mask.astype(np.float32)
         if config.blur_px > 0.0:
-            colours = _blur_inside(colours, valid, config.blur_px)
+            colours = blurred_within(colours, valid, config.blur_px)
         parts.append(np.dstack([colours, valid]).reshape(-1, 4))
         layouts.append((offset, small.width, small.height))
         offset += small.width * small.height
@@ -54,15 +54,6 @@ def stack_photos(photos: Sequence[Photo], config: ConsistencyConfig) -> PhotoSta
         np.array([[photo.width, photo.height] for photo in photos]),
         any(photo.mask is not None for photo in photos),
     )
-
-
-def _blur_inside(colours: np.ndarray, valid: np.ndarray, sigma_px: float) -> np.ndarray:
-    """Gaussian blur that takes nothing in from outside the mask."""
-    if valid.all():
-        return cv2.GaussianBlur(colours, (0, 0), sigma_px)
-    weight = cv2.GaussianBlur(valid, (0, 0), sigma_px)
-    blurred = cv2.GaussianBlur(colours * valid[..., None], (0, 0), sigma_px)
-    return blurred / np.maximum(weight, np.float32(1e-6))[..., None]
 
 
 class PhotoConsistency:

@@ -21,9 +21,9 @@ def occluded(
     rng = np.random.default_rng([seed, 0x0CC1])
     height, width = linear.shape[:2]
     grid_x, grid_y = np.meshgrid(np.arange(width), np.arange(height))
+    places = _places(width, height)
     anchor_x = rng.choice([-0.02, 1.02]) * width
     anchor_y = rng.uniform(0.35, 0.75) * height
-    places = np.column_stack([grid_x.ravel(), grid_y.ravel(), np.zeros(grid_x.size)])
     noise = SolidNoise(seed + 2)
     wobble = noise(places, 4.0 / width, octaves=2)[:, 0].reshape(height, width)
     reach = np.hypot(grid_x - anchor_x, grid_y - anchor_y) + 0.03 * width * wobble
@@ -59,14 +59,20 @@ def hazy(
 ) -> Float[np.ndarray, "h w 3"]:
     """The picture behind a veil that takes up to ``most`` of it, here more, there less."""
     height, width = linear.shape[:2]
-    grid_x, grid_y = np.meshgrid(np.arange(width), np.arange(height))
-    places = np.column_stack([grid_x.ravel(), grid_y.ravel(), np.zeros(grid_x.size)])
     noise = SolidNoise(int(np.random.default_rng(seed).integers(1 << 31)))
-    field = noise(places, 2.0 / width, octaves=1)[:, 0].reshape(height, width)
+    field = noise(_places(width, height), 2.0 / width, octaves=1)[:, 0].reshape(
+        height, width
+    )
     low, high = field.min(), field.max()
     veil = most * (field - low) / max(float(high - low), 1e-12)
     grey = np.array([0.55, 0.6, 0.66])
     return (linear + veil[:, :, None] * (grey - linear)).astype(np.float32)
+
+
+def _places(width: int, height: int) -> Float[np.ndarray, "n 3"]:
+    """Where noise is looked up for each pixel, row by row."""
+    x, y = np.meshgrid(np.arange(width), np.arange(height))
+    return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
 
 
 def expose(
