@@ -7,6 +7,7 @@ from scipy.spatial import KDTree
 from app.engine.glb_file import GlbFile
 from app.model.camera_moves import DisplayFrame
 from photoreg.geometry.mesh import Mesh
+from photoreg.imaging.colour import LINEAR_OF_BYTE
 from photoreg.imaging.encoding import encode_jpeg
 
 TEXTURE_SIDE_PX = 4096
@@ -45,7 +46,7 @@ def own_colours_glb(mesh: Mesh, display: Mesh, frame: DisplayFrame) -> bytes:
         colours = _at_vertices(mesh)
         if display is not mesh:
             colours = colours[KDTree(mesh.vertices).query(display.vertices)[1]]
-        linear = (colours / 255.0) ** 2.2
+        linear = LINEAR_OF_BYTE[colours]
         attributes = {
             "POSITION": file.positions(frame.to_page(display.vertices)),
             "COLOR_0": file.shares(np.column_stack([linear, np.ones(len(linear))])),
