@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from photoreg.cli import commands
+from photoreg.cli import commands, scene
 from photoreg.formats.cameras.camera_set import CameraSet
 from photoreg.formats.cameras.registry import write_cameras
 from tests.painted import cameras_around
@@ -105,7 +105,7 @@ def test_what_the_system_refuses_is_said_in_a_sentence(
     def fails(_: object) -> None:
         raise error
 
-    monkeypatch.setattr(commands, "load_mesh", fails)
+    monkeypatch.setattr(scene, "load_mesh", fails)
     monkeypatch.setattr(commands, "_drop_output", lambda: None)
     assert commands.run(EVALUATE[3:]) == status
     said = capfd.readouterr().err
