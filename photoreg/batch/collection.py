@@ -38,7 +38,7 @@ class Inputs:
     mesh: Path
     photos: tuple[Path, ...]
     cameras: Path
-    """A file, or a folder of COLMAP or texrecon."""
+    """A file, or a folder of COLMAP, texrecon or RealityScan."""
     has_textures: bool = False
     """Whether the mesh's own texture may be among the photos."""
 

@@ -40,16 +40,16 @@ def convert_command(
     The format is recognised by suffix or contents: photoreg's JSON, a COLMAP folder
     (binary, or text), nerfstudio's transforms.json, MeshLab's .mlp, a texrecon folder of
     .cam, OpenCV's .yml, Bundler's .out, Blender's .py (written only), Metashape's .xml
-    (read only).
+    (read only), a RealityScan folder of .xmp.
 
     Args:
-        cameras: A camera file, or a folder for COLMAP and texrecon.
-        out: Where the cameras go; a folder for COLMAP and texrecon.
+        cameras: A camera file, or a folder for COLMAP, texrecon and RealityScan.
+        out: Where the cameras go; a folder for COLMAP, texrecon and RealityScan.
         from_format: The format to read, if suffix and contents leave it open.
         to_format: The format to write, if the path leaves it open.
         mesh: The mesh that the cameras look at; a MeshLab project names it.
-        photos: The photos, or their folder: MeshLab may need padded copies, Bundler and
-            texrecon their sizes.
+        photos: The photos, or their folder: MeshLab may need padded copies; Bundler,
+            texrecon and RealityScan their sizes.
         overwrite: Also replace files that photoreg did not make, or cannot recognise.
         json: Print what was written and lost as JSON on standard output.
     """

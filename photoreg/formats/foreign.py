@@ -30,8 +30,8 @@ _KINDS: dict[str, tuple[str, ...]] = {
     "a project of Metashape; export the model as PLY or OBJ, and the cameras as Agisoft "
     "XML": (".psx", ".psz"),
     "a project of RealityCapture; export the model as PLY or OBJ, and the registration "
-    "as COLMAP or Bundler": (".rcproj", ".rsproj"),
-    f"cameras of another program; {_CAMERAS}": (".nvm", ".xmp", ".p4d", ".csv"),
+    "as XMP or COLMAP": (".rcproj", ".rsproj"),
+    f"cameras of another program; {_CAMERAS}": (".nvm", ".p4d", ".csv"),
     "a film; take single frames out of it, sharp ones, and save them as JPEG": (
         ".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".insv",
     ),

@@ -23,6 +23,7 @@ PLACES = {
     "opencv": "out.yml",
     "bundler": "bundle.out",
     "blender": "setup.py",
+    "realityscan": "sidecars",
 }
 """Format to where a test writes it."""
 

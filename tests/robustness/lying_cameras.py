@@ -29,6 +29,7 @@ SAVED = {
     "colmap-text": "model",
     "texrecon": "cams",
     "metashape": "c.xml",
+    "realityscan": "sidecars",
 }
 
 
@@ -43,7 +44,7 @@ def saved(path: Path, kind: str) -> list[Path]:
         path.write_text(document(second=f"<transform>{pose}</transform>"))
         return [path]
     cameras = {name: camera() for name in photos}
-    if kind in ("colmap", "colmap-text", "texrecon"):
+    if kind in ("colmap", "colmap-text", "texrecon", "realityscan"):
         path.mkdir(exist_ok=True)
     written = write_cameras(path, CameraSet(cameras, photos), kind).files
     return [file for file in written if file.suffix not in (".png", ".jpg")]

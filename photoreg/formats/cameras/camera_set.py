@@ -11,7 +11,7 @@ import scipy.optimize
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from photoreg.errors import InputError
+from photoreg.errors import InputError, OutputError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.lens import TERMS, Lens
 from photoreg.words import nfc
@@ -27,6 +27,7 @@ FormatName = Literal[
     "bundler",
     "blender",
     "metashape",
+    "realityscan",
 ]
 """The formats of cameras, as they are named on the command line."""
 
@@ -61,6 +62,15 @@ class CameraSet:
         """The files that the cameras are about, which stay as they are."""
         return [*self.photos.values(), *([] if self.mesh is None else [self.mesh])]
 
+    def copies_in(self, folder: Path) -> dict[Path, Path]:
+        """Copies to make of the known photos so that all are in ``folder``: to, from."""
+        return {
+            folder / name: self.photos[name]
+            for name in self.cameras
+            if name in self.photos
+            and self.photos[name].resolve().parent != folder.resolve()
+        }
+
 
 @dataclasses.dataclass(frozen=True)
 class Saved:
@@ -78,6 +88,26 @@ def photo_name(path: str) -> str:
     Photos are matched by it.
     """
     return nfc(re.split(r"[/\\]", path.strip())[-1])
+
+
+def files_by_stem(
+    folder: Path, cameras: CameraSet, suffix: str, program: str
+) -> dict[Path, str]:
+    """A file for each photo, of its name but for the suffix, to the photo's name.
+
+    Raises:
+        OutputError: if two photos differ in their suffix only.
+    """
+    files: dict[Path, str] = {}
+    for name in cameras.cameras:
+        path = folder / f"{Path(name).stem}{suffix}"
+        if path in files:
+            raise OutputError(
+                f"{program} tells photos apart by their name without suffix, but two are "
+                f"called {path.stem}. Rename one."
+            )
+        files[path] = name
+    return files
 
 
 def cameras_by_name(

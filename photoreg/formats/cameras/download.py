@@ -32,6 +32,7 @@ PLACES: dict[FormatName, str] = {
     "opencv": "cameras.yml",
     "bundler": "bundle.out",
     "blender": "cameras.py",
+    "realityscan": ".",
 }
 """Where in its zip each format puts the cameras."""
 

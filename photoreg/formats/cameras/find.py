@@ -4,13 +4,14 @@ from pathlib import Path
 
 from photoreg.errors import InputError
 from photoreg.formats.cameras.cameras_json import FORMAT
+from photoreg.formats.cameras.realityscan import is_realityscan
 from photoreg.formats.cameras.registry import SINGLE_FILE_SUFFIXES
 from photoreg.formats.parsing import read_json
 from photoreg.sources import open_for_reading
 
 
 def find_cameras(folder: Path) -> Path:
-    """The one camera file, or folder of COLMAP or texrecon, somewhere in a folder.
+    """The one camera file, or folder of COLMAP, texrecon or RealityScan, somewhere in a folder.
 
     Raises:
         InputError: if there is none, or more than one.
@@ -36,10 +37,14 @@ def find_cameras(folder: Path) -> Path:
 
 
 def _is_model(folder: Path) -> bool:
-    """Whether a COLMAP model or texrecon's files lie in just this folder."""
-    return any(folder.glob("*.cam")) or any(
-        all((folder / f"{part}{suffix}").is_file() for part in ("cameras", "images"))
-        for suffix in (".bin", ".txt")
+    """Whether a COLMAP model, or texrecon's or RealityScan's files, lie in just this folder."""
+    return (
+        any(folder.glob("*.cam"))
+        or any(map(is_realityscan, folder.glob("*.xmp")))
+        or any(
+            all((folder / f"{p}{suffix}").is_file() for p in ("cameras", "images"))
+            for suffix in (".bin", ".txt")
+        )
     )
 
 

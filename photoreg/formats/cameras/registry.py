@@ -32,6 +32,12 @@ from photoreg.formats.cameras.nerfstudio import (
 )
 from photoreg.formats.cameras.opencv_yaml import load_opencv, save_opencv
 from photoreg.formats.cameras.orientation import cameras_as_displayed, cameras_as_stored
+from photoreg.formats.cameras.realityscan import (
+    is_realityscan,
+    load_realityscan,
+    save_realityscan,
+)
+from photoreg.formats.cameras.realityscan import notes_of as realityscan_notes
 from photoreg.formats.cameras.texrecon import load_texrecon, save_texrecon
 from photoreg.formats.parsing import read_json
 from photoreg.geometry.camera import Camera
@@ -61,6 +67,8 @@ class CameraFormat:
     finds beside the file; None: it is written only."""
     suffixes: tuple[str, ...] = ()
     """Of its files, in small letters; of a folder, those of the files in it."""
+    is_one_file_a_photo: bool = False
+    """Whether each file of its folder is a camera by itself."""
     is_beside_photos: bool = True
     """Whether its programs look for the photos where the cameras are."""
     is_of_stored_pixels: bool = True
@@ -157,6 +165,7 @@ CAMERA_FORMATS: dict[str, CameraFormat] = {
             save=save_texrecon,
             load=load_texrecon,
             suffixes=(".cam",),
+            is_one_file_a_photo=True,
         ),
         CameraFormat(
             name="opencv",
@@ -201,6 +210,18 @@ CAMERA_FORMATS: dict[str, CameraFormat] = {
             load=load_metashape,
             notes_of=metashape_notes,
             suffixes=(".xml",),
+        ),
+        CameraFormat(
+            name="realityscan",
+            label="RealityScan (.xmp)",
+            place="folder",
+            keeps=_LENS,
+            loses="It loses skew; sizes and full names come from the photos.",
+            save=save_realityscan,
+            load=load_realityscan,
+            notes_of=realityscan_notes,
+            suffixes=(".xmp",),
+            is_one_file_a_photo=True,
         ),
     )
 }
@@ -273,9 +294,11 @@ def _name_of_folder(folder: Path) -> FormatName:
         return "colmap-text"
     if any(folder.glob("*.cam")):
         return "texrecon"
+    if any(map(is_realityscan, folder.glob("*.xmp"))):
+        return "realityscan"
     raise InputError(
         f"The folder {folder} holds no cameras: neither a COLMAP model (cameras and "
-        "images, .bin or .txt) nor texrecon's .cam files."
+        "images, .bin or .txt) nor texrecon's .cam or RealityScan's .xmp files."
     )
 
 
@@ -321,7 +344,7 @@ def read_cameras(
     """Reads cameras of any format.
 
     Args:
-        path: A file, or a folder for COLMAP and texrecon.
+        path: A file, or a folder for COLMAP, texrecon and RealityScan.
         name: The format; None: by suffix and contents.
         photos: The photos, for formats that leave out sizes or names; or by name, where
             that is not the file's.
@@ -335,7 +358,7 @@ def read_cameras(
         raise InputError(f"photoreg writes {chosen.name} files, but cannot read them.")
     if chosen.name == "photoreg":
         return load_cameras(path)  # With the keys that only this format has.
-    if chosen.is_folder and path.suffix.lower() != ".cam" and not path.is_dir():
+    if chosen.is_folder and not (chosen.is_one_file_a_photo or path.is_dir()):
         raise InputError(f"{path} should be a folder, for the format {chosen.name}.")
     known = dict(photos) if isinstance(photos, Mapping) else photos_by_name(photos)
     cameras = chosen.load(path, known)
@@ -358,7 +381,7 @@ def write_cameras(
     """Writes cameras in any format.
 
     Args:
-        path: A file, or a folder for COLMAP and texrecon.
+        path: A file, or a folder for COLMAP, texrecon and RealityScan.
         cameras: The cameras, and the photos and the mesh as far as known.
         name: The format; None: by the path.
         overwrite: Whether files without photoreg's mark may be replaced.

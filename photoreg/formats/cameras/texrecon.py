@@ -13,11 +13,12 @@ References:
 from collections.abc import Iterator
 from pathlib import Path
 
-from photoreg.errors import InputError, OutputError
+from photoreg.errors import InputError
 from photoreg.formats.cameras.camera_set import (
     CameraSet,
     Saved,
     cameras_by_name,
+    files_by_stem,
     intrinsics,
     without,
 )
@@ -42,15 +43,10 @@ def save_texrecon(folder: Path, cameras: CameraSet, overwrite: bool = False) -> 
     """
     contents: dict[Path, Content] = {}
     losses = []
-    for name, camera in cameras.cameras.items():
+    for path, name in files_by_stem(folder, cameras, ".cam", "texrecon").items():
+        camera = cameras.cameras[name]
         camera, lost = without(name, camera, "texrecon", "skew", lens_terms=())
         losses += lost
-        path = folder / f"{Path(name).stem}.cam"
-        if path in contents:
-            raise OutputError(
-                f"texrecon tells photos apart by their name without suffix, but two are "
-                f"called {path.stem}. Rename one."
-            )
         K, (width, height) = camera.K, (camera.width, camera.height)
         aspect = K[1, 1] / K[0, 0]
         is_portrait = width / height * aspect < 1.0
@@ -64,18 +60,8 @@ def save_texrecon(folder: Path, cameras: CameraSet, overwrite: bool = False) -> 
         # Readers take two lines, and leave a third.
         contents[path] = "\n".join([*lines, f"# {COMMENT}", ""])
     make_folder(folder)
-    contents |= _copies(folder, cameras)
+    contents |= cameras.copies_in(folder)
     return Saved(write_files(contents, cameras.files, overwrite), losses)
-
-
-def _copies(folder: Path, cameras: CameraSet) -> dict[Path, Content]:
-    """Copies of the known photos beside their cameras, where texrecon looks."""
-    copies: dict[Path, Content] = {}
-    for name in cameras.cameras:
-        source = cameras.photos.get(name)
-        if source is not None and source.resolve().parent != folder.resolve():
-            copies[folder / name] = source
-    return copies
 
 
 def load_texrecon(folder: Path, photos: dict[str, Path]) -> dict[str, Camera]:

@@ -131,7 +131,7 @@ def test_noise_is_refused_and_never_crashes(tmp_path, photo_folder, name):
     """Bytes of a good file changed at random: cameras, or one sentence."""
     cameras = camera_set(photo_folder)
     path, saved = write(tmp_path, name, cameras)
-    kinds = (".bin", ".txt", ".json", ".mlp", ".cam", ".yml", ".out")
+    kinds = (".bin", ".txt", ".json", ".mlp", ".cam", ".yml", ".out", ".xmp")
     file = next(f for f in saved.files if f.suffix in kinds)
     good = np.frombuffer(file.read_bytes(), dtype=np.uint8)
     rng = np.random.default_rng(3)
@@ -155,7 +155,7 @@ def test_a_missing_photo_is_asked_for(tmp_path, photo_folder):
     alone = CameraSet(cameras.cameras)
     with pytest.raises(InputError, match="Give the photos too"):
         write(tmp_path, "meshlab", alone)
-    for name in ("bundler", "texrecon"):
+    for name in ("bundler", "texrecon", "realityscan"):
         path, _ = write(tmp_path, name, alone)
         assert "Give the photos too" in refused(path)
     assert not (tmp_path / "out.mlp").exists()
