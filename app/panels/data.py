@@ -329,8 +329,8 @@ def _opening_html(state: State, busy: bool, limits: Limits) -> str:
         )
         + f'<div style="{_FINE_PRINT}">'
         "To go on from another program: COLMAP (cameras and images together, or a zip), "
-        "Metashape’s XML, RealityScan’s .xmp, MeshLab .mlp, nerfstudio, texrecon, OpenCV, "
-        "Bundler, or photoreg’s own cameras.json. Matched to the photos by file name.</div></div>"
+        "Metashape’s XML, RealityScan’s .xmp, Meshroom’s .sfm, MeshLab .mlp, nerfstudio, "
+        "texrecon, OpenCV, Bundler, or photoreg’s own cameras.json. Matched to the photos by file name.</div></div>"
     )
 
 

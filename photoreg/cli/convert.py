@@ -40,7 +40,7 @@ def convert_command(
     The format is recognised by suffix or contents: photoreg's JSON, a COLMAP folder
     (binary, or text), nerfstudio's transforms.json, MeshLab's .mlp, a texrecon folder of
     .cam, OpenCV's .yml, Bundler's .out, Blender's .py (written only), Metashape's .xml
-    (read only), a RealityScan folder of .xmp.
+    (read only), a RealityScan folder of .xmp, AliceVision's .sfm (Meshroom).
 
     Args:
         cameras: A camera file, or a folder for COLMAP, texrecon and RealityScan.

@@ -24,6 +24,7 @@ PLACES = {
     "bundler": "bundle.out",
     "blender": "setup.py",
     "realityscan": "sidecars",
+    "alicevision": "cameras.sfm",
 }
 """Format to where a test writes it."""
 

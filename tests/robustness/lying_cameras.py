@@ -30,6 +30,7 @@ SAVED = {
     "texrecon": "cams",
     "metashape": "c.xml",
     "realityscan": "sidecars",
+    "alicevision": "c.sfm",
 }
 
 
@@ -87,7 +88,9 @@ def camera_cases() -> Iterator[Case]:
         yield Case(
             f"{kind}: cut at half", name, damaged(kind, lambda b: b[: len(b) // 2]), ""
         )
-        yield Case(f"{kind}: empty", name, damaged(kind, lambda b: b""), "empty")
+        # Only its contents tell RealityScan's XMP from any other.
+        empty = "holds no cameras" if kind == "realityscan" else "empty"
+        yield Case(f"{kind}: empty", name, damaged(kind, lambda b: b""), empty)
         yield Case(
             f"{kind}: noise", name, damaged(kind, lambda b: bytes(range(256)) * 9), ""
         )

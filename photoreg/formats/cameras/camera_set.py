@@ -28,6 +28,7 @@ FormatName = Literal[
     "blender",
     "metashape",
     "realityscan",
+    "alicevision",
 ]
 """The formats of cameras, as they are named on the command line."""
 

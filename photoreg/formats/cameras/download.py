@@ -33,6 +33,7 @@ PLACES: dict[FormatName, str] = {
     "bundler": "bundle.out",
     "blender": "cameras.py",
     "realityscan": ".",
+    "alicevision": "cameras.sfm",
 }
 """Where in its zip each format puts the cameras."""
 

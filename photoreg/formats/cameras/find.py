@@ -3,10 +3,8 @@
 from pathlib import Path
 
 from photoreg.errors import InputError
-from photoreg.formats.cameras.cameras_json import FORMAT
 from photoreg.formats.cameras.realityscan import is_realityscan
-from photoreg.formats.cameras.registry import SINGLE_FILE_SUFFIXES
-from photoreg.formats.parsing import read_json
+from photoreg.formats.cameras.registry import SINGLE_FILE_SUFFIXES, format_of_json
 from photoreg.sources import open_for_reading
 
 
@@ -50,14 +48,8 @@ def _is_model(folder: Path) -> bool:
 
 def _is_of_cameras(path: Path) -> bool:
     """Whether a file's content is that of cameras, as far as its beginning tells."""
-    if path.suffix.lower() == ".json":
-        try:
-            document = read_json(path, "camera file")
-        except (InputError, OSError):
-            return False
-        return isinstance(document, dict) and (
-            "frames" in document or document.get("format") == FORMAT
-        )
+    if path.suffix.lower() in (".json", ".sfm"):
+        return format_of_json(path) is not None
     beginnings = {".mlp": b"<", ".xml": b"<", ".out": b"# Bundle file"}
     with open_for_reading(path) as file:
         start = file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n")

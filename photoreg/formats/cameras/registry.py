@@ -5,10 +5,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from photoreg.errors import InputError, OutputError
+from photoreg.formats.cameras.alicevision import load_alicevision, save_alicevision
+from photoreg.formats.cameras.alicevision import notes_of as alicevision_notes
 from photoreg.formats.cameras.blender import save_blender
 from photoreg.formats.cameras.bundler import load_bundler, save_bundler
 from photoreg.formats.cameras.camera_set import CameraSet, FormatName, Saved
 from photoreg.formats.cameras.cameras_json import (
+    FORMAT,
     CameraFile,
     WorldMove,
     load_cameras,
@@ -223,6 +226,17 @@ CAMERA_FORMATS: dict[str, CameraFormat] = {
             suffixes=(".xmp",),
             is_one_file_a_photo=True,
         ),
+        CameraFormat(
+            name="alicevision",
+            label="AliceVision, Meshroom (.sfm)",
+            place=".sfm",
+            keeps=_LENS,
+            loses="It loses skew.",
+            save=save_alicevision,
+            load=load_alicevision,
+            notes_of=alicevision_notes,
+            suffixes=(".sfm", ".json"),
+        ),
     )
 }
 WRITTEN_FORMATS = {
@@ -282,8 +296,8 @@ def format_to_read(path: Path) -> CameraFormat:
             f"{path.name} is not a camera file that photoreg reads: the suffix should be "
             f"one of {', '.join(s for s in CAMERA_SUFFIXES if s not in _COLMAP_SUFFIXES)}."
         )
-    if suffix == ".json" and _is_nerfstudio(path):
-        return CAMERA_FORMATS["nerfstudio"]
+    if suffix == ".json":
+        return CAMERA_FORMATS[format_of_json(path) or "photoreg"]
     return known[0]
 
 
@@ -302,12 +316,19 @@ def _name_of_folder(folder: Path) -> FormatName:
     )
 
 
-def _is_nerfstudio(path: Path) -> bool:
+def format_of_json(path: Path) -> FormatName | None:
+    """Whose cameras a JSON file holds; None if it is not JSON, or holds none."""
     try:
         document = read_json(path, "camera file")
     except (InputError, OSError):
-        return False
-    return isinstance(document, dict) and "frames" in document
+        return None
+    if not isinstance(document, dict):
+        return None
+    if document.get("format") == FORMAT:
+        return "photoreg"
+    if "frames" in document:
+        return "nerfstudio"
+    return "alicevision" if {"views", "poses"} <= set(document) else None
 
 
 def format_to_write(path: Path) -> CameraFormat:

@@ -37,6 +37,7 @@ def _written(folder: Path, name: str, camera: Camera) -> tuple[Camera, list[str]
         "photoreg": "c.json",
         "meshlab": "c.mlp",
         "realityscan": "sidecars",
+        "alicevision": "c.sfm",
     }[name]
     cameras = CameraSet({"a.png": camera}, {"a.png": photo})
     saved = write_cameras(folder / place, cameras, name)
@@ -45,7 +46,10 @@ def _written(folder: Path, name: str, camera: Camera) -> tuple[Camera, list[str]
 
 @pytest.mark.parametrize(
     "name",
-    ["photoreg", "opencv", "colmap", "colmap-text", "nerfstudio", "realityscan"],
+    [
+        *("photoreg", "opencv", "colmap", "colmap-text", "nerfstudio"),
+        *("realityscan", "alicevision"),
+    ],
 )
 @pytest.mark.parametrize("lens", [LENS, Lens(k1=-0.1), Lens(0.1, -0.2, 1e-3, 2e-3)])
 def test_a_lens_is_kept(tmp_path: Path, name: str, lens: Lens) -> None:
