@@ -87,6 +87,15 @@
   });
   for (const query of [wide, narrow]) query.addEventListener("change", arrange);
 
+  // Opens a tab; a folded panel unfolds for it.
+  photoreg.tab = (name) =>
+    [...document.querySelectorAll("[role=tab]")].find((t) => t.textContent.trim() === name);
+  photoreg.open = (name) => {
+    // viser's tabs are opened by a press or by this key.
+    const press = new KeyboardEvent("keydown", { key: "Enter", bubbles: true });
+    photoreg.tab(name)?.dispatchEvent(press);
+  };
+
   // Tells the server while a tab is on screen, however far it is scrolled.
   const open = new Map();
   const sight = new IntersectionObserver((entries) => {

@@ -46,10 +46,16 @@
 
   // What a click does; of elements within each other only the innermost counts.
   document.addEventListener("click", (event) => {
-    const element = event.target.closest("[data-send],[data-hold],[data-choose],[data-rename]");
+    const element = event.target.closest(
+      "[data-send],[data-hold],[data-choose],[data-rename],[data-open]",
+    );
     if (!element) return;
-    const { send, hold, choose } = element.dataset;
+    const { send, hold, choose, open, mode } = element.dataset;
     if (send) photoreg.send(...JSON.parse(send));
+    else if (open) {
+      photoreg.open(open);
+      if (mode) photoreg.picker.setMode(mode);
+    }
     // A click without a press is the keyboard's.
     else if (hold) event.detail || photoreg.send(...JSON.parse(hold));
     else if (choose !== undefined) photoreg.choose(choose);

@@ -1,12 +1,13 @@
-// The photo picker: zoom, pan, numbered markers, and a brush for the mask.
+// The photo picker: zoom, pan, numbered markers, a brush for the mask, and a box around
+// the object.
 // Photo pixels: (0, 0) is the centre of the first pixel, as everywhere in photoreg.
 (() => {
   const { photoreg } = window;
   const TILE = 512;
   const CLICK_PX = 4; // A press that moves less is a click.
   const style = document.createElement("style");
-  // The foot keeps its height whatever it says: a panel scrolled down would else move
-  // the photo under the hand when the pixel's coordinates appear.
+  // The foot keeps its height whatever it says, and a button its width when it is pressed:
+  // else the photo would move under the hand.
   style.textContent = `
   .pr-picker{position:relative;display:flex;flex-direction:column;gap:6px;font-size:12px;
     user-select:none;--edge:rgba(128,140,155,.3)}
@@ -17,7 +18,7 @@
   .pr-bar button{font:inherit;color:inherit;background:rgba(128,140,155,.16);border:0;
     border-radius:5px;padding:4px 6px;cursor:pointer;line-height:1.25}
   .pr-bar button:hover{background:rgba(128,140,155,.32)}
-  .pr-bar button[aria-pressed=true]{background:#26a69a;color:#04211e;font-weight:600}
+  .pr-bar button[aria-pressed=true]{background:#26a69a;color:#04211e}
   .pr-bar input{flex:1 1 60px;min-width:50px;accent-color:#1d9e90}
   .pr-bar.pr-foot{flex-wrap:nowrap;align-items:flex-start;line-height:1.35;min-height:2.7em}
   .pr-hint{flex:1;opacity:.75}
@@ -49,6 +50,7 @@
       <button data-mode="points" aria-pressed="true" title="Click places a point">Points</button>
       <button data-mode="out" aria-pressed="false" title="Paint what shall not count">Mask</button>
       <button data-mode="in" aria-pressed="false" title="Paint back what shall count">Bring back</button>
+      <button data-mode="box" aria-pressed="false" title="Drag a box around the object, for finding the camera">Box</button>
       <span style="flex:1"></span>
       <button data-do="fit" title="The whole photo">Fit</button>
       <button data-do="less" aria-label="Zoom out" title="Zoom out">−</button>
@@ -58,6 +60,9 @@
     <div class="pr-bar pr-brush" style="display:none">Brush
       <input type="range" min="0" max="100" value="55" aria-label="Brush size" title="How wide the brush paints">
       <button data-do="clear" title="The whole photo counts again">Clear mask</button>
+    </div>
+    <div class="pr-bar pr-boxed" style="display:none">
+      <button data-do="unbox" title="The camera is found without it">Remove the box</button>
     </div>
     <div class="pr-view" tabindex="0"><canvas></canvas><div class="pr-marks"></div>
       <div class="pr-empty">Add a photo in the Data tab.</div></div>
@@ -82,6 +87,7 @@
   let mask = null; // canvas of the overview's size: red where left out
   let maskShown = null;
   let stroke = null;
+  let corners = null; // of the box that is being dragged: two places in the photo
   let cursor = null;
   let drag = null; // the marker on its way: { number, u, v }
 
@@ -93,6 +99,14 @@
   };
   const inside = ([u, v]) =>
     u >= -0.5 && v >= -0.5 && u <= state.width - 0.5 && v <= state.height - 0.5;
+  const isBrush = () => mode === "out" || mode === "in";
+  // From its corner, as the edge of the first pixel, not its centre.
+  const boxOf = ([[u0, v0], [u1, v1]]) => {
+    const clip = (value, size) => Math.min(Math.max(value + 0.5, 0), size);
+    const [left, right] = [u0, u1].map((u) => clip(u, state.width)).sort((a, b) => a - b);
+    const [top, bottom] = [v0, v1].map((v) => clip(v, state.height)).sort((a, b) => a - b);
+    return [left, top, right - left, bottom - top];
+  };
   const radius = () =>
     (0.002 * Math.pow(100, brush.value / 100) * Math.max(state.width, state.height)) / 2;
 
@@ -167,8 +181,9 @@
         }
     }
     paintMask();
+    paintBox();
     paintMarks();
-    if (mode !== "points" && cursor) {
+    if (isBrush() && cursor) {
       draw2d.beginPath();
       draw2d.arc(cursor[0], cursor[1], radius() * scale, 0, 7);
       draw2d.strokeStyle = "#fff";
@@ -193,6 +208,19 @@
     draw2d.globalAlpha = 0.5;
     draw2d.drawImage(mask, left, top, scale * state.width, scale * state.height);
     draw2d.globalAlpha = 1;
+  }
+
+  function paintBox() {
+    const box = corners ? boxOf(corners) : state.box;
+    if (!box) return;
+    const place = [left + box[0] * scale, top + box[1] * scale, box[2] * scale, box[3] * scale];
+    for (const [colour, dash] of [["#10403b", []], ["#2dd4bf", [6, 4]]]) {
+      draw2d.strokeStyle = colour;
+      draw2d.lineWidth = 2;
+      draw2d.setLineDash(dash);
+      draw2d.strokeRect(...place);
+    }
+    draw2d.setLineDash([]);
   }
 
   function paintMarks() {
@@ -234,9 +262,11 @@
       const pair = state.pairs.find((p) => p.n === +mark.dataset.number);
       press.mark = pair;
       mark.focus({ preventScroll: true });
-    } else if (mode !== "points" && e.button === 0 && !state.busy) {
+    } else if (isBrush() && e.button === 0 && !state.busy) {
       stroke = [toPhoto(x, y)];
       dab();
+    } else if (mode === "box" && e.button === 0 && !state.busy) {
+      corners = [toPhoto(x, y), toPhoto(x, y)];
     }
     e.preventDefault();
   });
@@ -247,11 +277,13 @@
       const [u, v] = toPhoto(x, y);
       info.textContent = inside([u, v]) ? `${u.toFixed(1)}, ${v.toFixed(1)}` : "";
     }
-    if (!press) return mode !== "points" && draw();
+    if (!press) return isBrush() && draw();
     press.moved ||= Math.hypot(x - press.x, y - press.y) >= CLICK_PX;
     if (stroke) {
       stroke.push(toPhoto(x, y));
       dab();
+    } else if (corners) {
+      corners[1] = toPhoto(x, y);
     } else if (press.mark) {
       if (!press.moved || state.busy) return;
       drag = {
@@ -274,6 +306,10 @@
       stroke = null;
       maskShown = undefined;
       photoreg.send("paint", { photo: state.name, stroke: path, radius: radius(), counts: mode === "in" });
+    } else if (corners) {
+      const box = boxOf(corners);
+      corners = null;
+      if (was.moved && e.type === "pointerup") photoreg.send("box", { photo: state.name, box });
     } else if (was.mark && drag) {
       const { number, u, v } = drag;
       const pair = state.pairs.find((p) => p.n === number);
@@ -321,25 +357,30 @@
       pair.v += dv * step;
       photoreg.send("move", { photo: state.name, number: pair.n, u: pair.u, v: pair.v });
       draw();
+    } else if (e.key === "Escape" && corners) {
+      corners = press = null;
+      draw();
     } else if (e.key === "Escape") photoreg.send("choose", { photo: state.name, number: null });
     else return;
     e.preventDefault();
     e.stopPropagation();
   });
+  const setMode = (wanted) => {
+    mode = wanted;
+    for (const b of root.querySelectorAll("[data-mode]"))
+      b.setAttribute("aria-pressed", b.dataset.mode === mode);
+    show();
+  };
   root.addEventListener("click", (e) => {
     const button = e.target.closest("button");
     if (!button) return;
     const { mode: wanted, do: action } = button.dataset;
-    if (wanted) {
-      mode = wanted;
-      root.querySelectorAll("[data-mode]").forEach((b) => b.setAttribute("aria-pressed", b === button));
-      find(".pr-brush").style.display = mode === "points" ? "none" : "flex";
-      say();
-    }
+    if (wanted) setMode(wanted);
     if (action === "fit") fit();
     if (action === "more") zoom(1.5);
     if (action === "less") zoom(1 / 1.5);
     if (action === "clear") photoreg.send("unmask", { photo: state.name });
+    if (action === "unbox") photoreg.send("unbox", { photo: state.name });
     if (action === "large") {
       const large = root.classList.toggle("pr-large");
       (large ? document.body : home)?.append(root);
@@ -364,13 +405,19 @@
     draw();
   }
 
-  function say() {
-    hint.textContent =
-      mode === "points"
-        ? (state.hint ?? "")
-        : mode === "out"
-          ? "Paint over what is not the object."
-          : "Paint what shall count again.";
+  const HINTS = {
+    out: () => "Paint over what is not the object.",
+    in: () => "Paint what shall count again.",
+    box: () =>
+      state.mask
+        ? "The mask tells where the object is; a box is for photos without one."
+        : "Drag a box around the object; then Find this camera, in Align.",
+    points: () => state.hint ?? "",
+  };
+  function show() {
+    find(".pr-brush").style.display = isBrush() ? "flex" : "none";
+    find(".pr-boxed").style.display = mode === "box" && state.box ? "flex" : "none";
+    hint.textContent = HINTS[mode]();
   }
 
   // Clicks on the model place points while the picker is on screen, or the tab that it
@@ -398,9 +445,9 @@
     if (old.photo !== state.photo) {
       mask = null;
       maskShown = undefined;
-      stroke = drag = press = null;
+      stroke = corners = drag = press = null;
     }
-    say();
+    show();
     draw();
   });
   new ResizeObserver(() => {
@@ -408,6 +455,7 @@
     draw();
   }).observe(view);
   photoreg.picker = {
+    setMode,
     toClient: (u, v) => {
       const box = view.getBoundingClientRect();
       const [x, y] = toView(u, v);

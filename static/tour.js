@@ -28,10 +28,8 @@
 
   let card = null;
   let step = 0;
-  const tab = (name) =>
-    [...document.querySelectorAll("[role=tab]")].find((t) => t.textContent.trim() === name);
   const place = () => {
-    const box = card && tab(HINTS[step][0])?.getBoundingClientRect();
+    const box = card && photoreg.tab(HINTS[step][0])?.getBoundingClientRect();
     if (!box) return;
     const left = Math.max(10, Math.min(box.left - 20, innerWidth - card.offsetWidth - 10));
     card.style.left = `${left}px`;
@@ -56,8 +54,7 @@
   };
   const show = () => {
     const [name, title, text] = HINTS[step];
-    // viser's tabs are opened by a press or by this key.
-    tab(name)?.dispatchEvent(new KeyboardEvent("keydown", { key: "Enter", bubbles: true }));
+    photoreg.open(name);
     const last = step === HINTS.length - 1;
     card.setAttribute("aria-label", `Hint ${step + 1} of ${HINTS.length}: ${title}`);
     card.innerHTML =
@@ -77,7 +74,7 @@
     }
   };
   const begin = () => {
-    if (card || !tab("1 Data")) return;
+    if (card || !photoreg.tab("1 Data")) return;
     step = 0;
     card = document.createElement("div");
     card.className = "pr-tour";

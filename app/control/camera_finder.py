@@ -46,7 +46,8 @@ class CameraFinder:
             job = Job("Finding the cameras", can_stop=True)
             self._session.change(None, rules.setting(job=job, found=()))
             self._send_scene(state.document)
-            self._worker.send(FindCameras(wanted))
+            boxes = tuple(state.document.used[i].box for i in wanted)
+            self._worker.send(FindCameras(wanted, boxes))
 
     def heard(self, event: CamerasFound) -> None:
         """Puts the cameras where they may be, as one step of undo."""

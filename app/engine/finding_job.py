@@ -9,21 +9,29 @@ from photoreg.geometry.mesh import Mesh
 from photoreg.imaging.encoding import encode_jpeg
 from photoreg.imaging.photo import Photo
 from photoreg.overlay.pictures import pose_picture
-from photoreg.placing.outcome import Placement, PlacingStep
+from photoreg.placing.outcome import Box, Placement, PlacingStep
 from photoreg.registration.find_cameras import find_cameras
 
 PICTURE_PX = 320
 TITLE = "Finding the cameras"
 
 
-def finding(mesh: Mesh, photos: Sequence[Photo]) -> Iterator[Working | CamerasFound]:
+def finding(
+    mesh: Mesh, photos: Sequence[Photo], boxes: Sequence[Box | None]
+) -> Iterator[Working | CamerasFound]:
     """Finds the cameras of photos; stop iterating to cancel.
 
     Args:
         mesh: The surface.
         photos: The photos, with their masks.
+        boxes: Around the object in each of them, where there is one.
     """
-    for event in find_cameras(mesh, photos):
+    hints = {
+        photo.name: box
+        for photo, box in zip(photos, boxes, strict=True)
+        if box is not None
+    }
+    for event in find_cameras(mesh, photos, boxes=hints):
         if isinstance(event, PlacingStep):
             yield Working(f"{TITLE}: {event.step}", event.fraction)
         else:

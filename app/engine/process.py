@@ -307,7 +307,7 @@ class WorkerProcess:
     def _find_cameras(self, job: FindCameras) -> None:
         photos = [self._photos[i] for i in job.photos]
         told: Working | None = None
-        for step in finding(self._scene_mesh(), photos):
+        for step in finding(self._scene_mesh(), photos, job.boxes):
             if step != told:
                 self._send(step)
             if isinstance(step, Working):

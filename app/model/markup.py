@@ -32,6 +32,12 @@ def sending(act: str, **values: Any) -> str:
     return f'data-send="{escaped(json.dumps([act, values]))}"'
 
 
+def opening(tab: str, mode: str = "") -> str:
+    """The attribute that has a click open a tab, and the photo in it in one of its modes."""
+    of_mode = f' data-mode="{escaped(mode)}"' if mode else ""
+    return f'data-open="{escaped(tab)}"{of_mode}'
+
+
 def mounted(kind: str, **data: str) -> str:
     """HTML that the function of the page's ``photoreg.define(kind, ...)`` gets when shown."""
     fields = "".join(f' data-{name}="{escaped(text)}"' for name, text in data.items())

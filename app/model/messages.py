@@ -14,6 +14,7 @@ from photoreg.geometry.mesh import Mesh
 from photoreg.imaging.photo import Photo
 from photoreg.parameters.freedom import Freedom
 from photoreg.parameters.gene_box import BoxReach
+from photoreg.placing.outcome import Box
 from photoreg.registration.config import RegistrationConfig
 from photoreg.registration.readiness import Readiness
 from photoreg.report.cost_curve import CurvePoint
@@ -79,6 +80,8 @@ class FindCameras:
 
     photos: tuple[int, ...]
     """By index in the scene."""
+    boxes: tuple[Box | None, ...]
+    """Around the object in each of these, where somebody drew one."""
 
 
 @dataclasses.dataclass(frozen=True)

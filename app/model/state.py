@@ -29,7 +29,7 @@ from photoreg.geometry.mesh import Mesh
 from photoreg.imaging.photo import Photo
 from photoreg.parameters.freedom import Freedom
 from photoreg.parameters.gene_box import BoxReach
-from photoreg.placing.outcome import PlacingGrade
+from photoreg.placing.outcome import Box, PlacingGrade
 from photoreg.project.files import FileProblem
 from photoreg.registration.config import PresetName, RegistrationConfig
 from photoreg.registration.readiness import Readiness
@@ -73,6 +73,8 @@ class PhotoEntry:
     """Where the photo counts, as ``app.model.masks`` encodes it; None: everywhere."""
     cropped: bool | None = None
     """Whether a part of the photo was cut off; None: as its EXIF tells."""
+    box: Box | None = None
+    """Around the object, as a person drew it: a hint for finding the camera."""
 
     def __post_init__(self) -> None:
         if self.photo.mask is not None:
@@ -112,6 +114,7 @@ class PhotoEntry:
             and self.pairs == other.pairs
             and self.mask_png == other.mask_png
             and self.cropped == other.cropped
+            and self.box == other.box
             and same_camera(self.camera, other.camera)
         )
 

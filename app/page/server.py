@@ -52,7 +52,7 @@ from app.web.hints import button_hints
 from app.web.layout import dock
 from app.web.pending_messages import hear_out
 from app.web.uploads import limit_uploads
-from app.web.widgets import Tool, Tools
+from app.web.widgets import SMALL_BUTTON, Tool, Tools
 from photoreg.errors import PhotoregError
 from photoreg.geometry.camera import Camera
 from photoreg.limits import Limits
@@ -498,10 +498,8 @@ def _job_html(job: Job) -> str:
     button = ""
     if job.can_stop:
         button = (
-            '<button title="Ends it; nothing will have changed" style="font:inherit;'
-            "font-size:12.5px;color:inherit;background:rgba(128,140,155,.25);border:0;"
-            'border-radius:5px;padding:3px 10px;cursor:pointer" '
-            f"{sending('stop')}>Cancel</button>"
+            '<button title="Ends it; nothing will have changed" '
+            f'style="{SMALL_BUTTON}" {sending("stop")}>Cancel</button>'
         )
     return (
         f'{button}<span role="progressbar" aria-valuenow="{100 * job.fraction:.0f}" '

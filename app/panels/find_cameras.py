@@ -6,15 +6,19 @@ import functools
 import viser
 
 from app.control.controller import Controller
-from app.model.markup import escaped
+from app.model.markup import escaped, opening
 from app.model.state import FoundCamera, State
 from app.web.bridge import Bridge
 from app.web.controls import guarded, put
-from app.web.widgets import Tool, Tools, help_line
+from app.web.widgets import SMALL_BUTTON, Tool, Tools, help_line
 
 HELP = (
-    "By the object's outline: it should stand before a plain background, or have a mask. "
-    "Cameras that somebody has placed stay."
+    "By the object's outline: it should stand before a plain background, or have a mask or "
+    "a box around it. Cameras that somebody has placed stay."
+)
+BOX_HTML = help_line(
+    'Much behind the object? <button title="Opens the photo at the left, to drag the box" '
+    f'style="{SMALL_BUTTON}" {opening("Points", "box")}>Draw a box around it</button>'
 )
 
 
@@ -34,6 +38,7 @@ class FindCamerasPanel:
             color="gray",
             hint="The same for this photo alone, wherever its camera stands now.",
         )
+        gui.add_html(BOX_HTML)
         self._told = gui.add_html("")
         self._poses = Tools(
             gui, bridge, "Poses", (), lambda _, value: self._pick(value)

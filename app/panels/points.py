@@ -13,6 +13,7 @@ from app.model import point_pairs
 from app.model.camera_moves import DisplayFrame
 from app.model.markup import mounted
 from app.model.masks import MASK_SUFFIXES, mask_of, painted_mask
+from app.model.object_box import with_box, without_box
 from app.model.session import select, setting, with_entry
 from app.model.state import State
 from app.panels.data import index_of, photo_options
@@ -91,6 +92,10 @@ class PointsPanel:
             counts=bool,
         )
         bridge.on("unmask", self._on_unmask, photo=str)
+        bridge.on(
+            "box", self._on_box, photo=str, box=tuple[Number, Number, Number, Number]
+        )
+        bridge.on("unbox", self._on_unbox, photo=str)
         bridge.on("picking", self._on_picking, on=bool)
 
         @self._choice.on_update
@@ -275,6 +280,20 @@ class PointsPanel:
             f"Clear the mask of photo {index + 1}", with_entry(index, mask_png=None)
         )
 
+    # The box.
+
+    def _on_box(self, values: Values, _: viser.ClientHandle) -> None:
+        index = point_pairs.index_of_photo(self._session.state, values["photo"])
+        self._session.change(
+            f"Draw a box in photo {index + 1}", with_box(values["photo"], values["box"])
+        )
+
+    def _on_unbox(self, values: Values, _: viser.ClientHandle) -> None:
+        index = point_pairs.index_of_photo(self._session.state, values["photo"])
+        self._session.change(
+            f"Remove the box of photo {index + 1}", without_box(values["photo"])
+        )
+
     # What is shown.
 
     def show(self, state: State) -> None:
@@ -299,6 +318,7 @@ class PointsPanel:
                 "width": entry.photo.width,
                 "height": entry.photo.height,
                 "mask": self._pictures.mask_key(entry.mask_png),
+                "box": entry.box,
                 "busy": not idle,
                 "chosen": state.chosen_pair,
                 "hint": point_pairs.next_click(state),

@@ -25,6 +25,11 @@ BUTTON = (
     "background:transparent;white-space:nowrap;overflow:hidden;text-overflow:ellipsis"
 )
 COLUMNS = ";display:grid;grid-template-columns:repeat(3,auto)"
+SMALL_BUTTON = (
+    "font:inherit;font-size:12.5px;color:inherit;background:rgba(128,140,155,.25);border:0;"
+    "border-radius:5px;padding:3px 10px;cursor:pointer"
+)
+"""Of a button within a line of text."""
 HELP = "margin:-3px 14px 9px;font-size:12.5px;line-height:1.35;opacity:.75"
 
 

@@ -1,5 +1,7 @@
 """Find the cameras: from a mesh and photos to refined cameras without touching one."""
 
+import dataclasses
+
 import numpy as np
 from playwright.sync_api import expect
 
@@ -8,10 +10,12 @@ from app.model.reducers import with_mesh, with_photo
 from app.model.state import Document, State, same_camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.projection_error import projection_error
+from photoreg.geometry.rasteriser import render_geometry
 from photoreg.imaging.photo import Photo
 from photoreg.registration.config import RegistrationConfig
 from photoreg.synthetic.rock import icosphere
 from tests.browser.driver import wait_until
+from tests.browser.own_files import in_picker
 from tests.browser.refine_runs import start, to_its_end
 from tests.scenes import small_scene
 
@@ -95,3 +99,55 @@ def test_a_round_object_offers_poses_to_pick_from_and_moved_cameras_stay(open_ap
         lambda: same_camera(app.state.selected_photo.camera, one.candidates[1]),
         "the second pose is taken",
     )
+
+
+def test_a_box_drawn_around_the_object_tells_it_from_others(open_app):
+    scene = small_scene(seed=5)
+    photo, other = scene.photos
+    # The object stands between two that look like it, and only a person knows which.
+    three = dataclasses.replace(
+        photo, pixels=np.hstack([other.pixels, photo.pixels, other.pixels])
+    )
+    K = scene.cameras[0].K.copy()
+    K[0, 2] += photo.width
+    true = dataclasses.replace(scene.cameras[0], K=K, width=three.width)
+    app = open_app(dropped(scene.mesh, (three,)))
+    before, driver = app.state.document, app.driver
+
+    def find() -> str:
+        earlier = app.state.found
+        driver.click("Find this camera")
+        wait_until(lambda: app.state.found is not earlier, "it was looked for", 120.0)
+        wait_until(lambda: bool(app.state.found), "it was looked for", 120.0)
+        return app.state.found[0].grade
+
+    driver.dismiss_toasts()
+    driver.tab("2 Align")
+    assert find() == "not found"
+
+    driver.click("Draw a box around it")
+    expect(driver.page.get_by_text("Drag a box around the object;")).to_be_visible()
+    driver.page.wait_for_function("() => photoreg.picker.ready()")
+    rows, columns = np.nonzero(render_geometry(scene.mesh, true).covered)
+    first = np.array([columns.min() - 8.0, rows.min() - 8.0])
+    last = np.array([columns.max() + 8.0, rows.max() + 8.0])
+    start, end = in_picker(driver, first), in_picker(driver, last)
+    driver.drag((start[0], start[1]), (end[0] - start[0], end[1] - start[1]))
+    wait_until(lambda: app.state.undo_name == "Draw a box in photo 1", "it is drawn")
+    (entry,) = app.state.document.photos
+    expected = (*(first + 0.5), *(last - first))
+    scale = driver.page.evaluate("() => photoreg.picker.scale()")
+    assert np.abs(np.subtract(entry.box, expected)).max() < 1.5 / scale
+
+    assert find() == "found"
+    now = app.state.document.used_cameras
+    error = projection_error(scene.mesh, [true], now).mean
+    assert error < 10.0, f"{error:.1f} px off"
+    app.session.undo()
+    driver.click("Remove the box")
+    wait_until(lambda: app.state.document.photos[0].box is None, "it is removed")
+    app.session.undo()
+    assert app.state.document.photos[0].box == entry.box
+    app.session.undo()
+    assert app.state.document == before
+    expect(driver.page.get_by_role("button", name="Remove the box")).to_be_hidden()
