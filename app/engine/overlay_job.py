@@ -54,6 +54,7 @@ class Drawing:
         self._pair: _Drawn | None = None
         self._start: tuple[object, np.ndarray] | None = None
         self._truth: Truth | None = None
+        self._surface: tuple[tuple[Camera, ...], Surface] | None = None
 
     def true_error(
         self, truth: tuple[Camera, ...] | None, cameras: tuple[Camera, ...]
@@ -140,7 +141,15 @@ class Drawing:
 
     def surface(self, cameras: tuple[Camera, ...], surface: Surface) -> SurfaceDrawn:
         """The object with photos or heat map laid on."""
+        self._surface = cameras, surface
         return SurfaceDrawn(self.live_surface.glb(cameras, surface))
+
+    def is_newest_surface(self, cameras: tuple[Camera, ...], surface: Surface) -> bool:
+        """Whether the surface drawn last was this one."""
+        if self._surface is None:
+            return False
+        known, what = self._surface
+        return what == surface and all(map(same_camera, known, cameras))
 
     @functools.cached_property
     def live_surface(self) -> LiveSurface:

@@ -46,8 +46,8 @@ class PictureStream:
     ) -> None:
         """What to draw next, unless something newer comes first.
 
-        With ``start``, a refinement is going on: the surface is drawn too, nothing if
-        nobody looks, and pauses leave most of a core to the search.
+        With ``start``, a refinement is going on: the surface is drawn now and then, nothing
+        if nobody looks, and pauses leave most of a core to the search.
         """
         if start is not None and not self.is_watched:
             return
@@ -55,9 +55,13 @@ class PictureStream:
         def draw() -> Iterator[Event]:
             is_passing = start is not None
             yield drawing.picture(cameras, view, truth, start, is_passing)
-            is_due = time.monotonic() - self._surface_at >= SURFACE_PERIOD_S
-            if start is not None and view.surface != "clay" and is_due:
-                self._surface_at = time.monotonic()
+            now = time.monotonic()
+            if is_passing:
+                is_due = now - self._surface_at >= SURFACE_PERIOD_S
+            else:
+                is_due = not drawing.is_newest_surface(cameras, view.surface)
+            if view.surface != "clay" and is_due:
+                self._surface_at = now
                 yield drawing.surface(cameras, view.surface)
 
         with self._changed:

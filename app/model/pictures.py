@@ -32,7 +32,7 @@ class OverlayView:
     start_line: float | None = None
     """Where the start ends and the overlay now begins, as a share of the width."""
     surface: Surface = "clay"
-    """What the object shows in the 3-D view while a run goes on."""
+    """What the object shows in the 3-D view."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

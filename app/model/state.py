@@ -353,8 +353,8 @@ class State:
     """Where the line is between the start, on the left, and the overlay now, as a share
     of the width; None: no line."""
     surface: Surface = "photos"
-    """What the object shows while a run is on screen: nothing, the photos laid onto it,
-    or where they disagree."""
+    """What the object shows while cameras of a run are on screen: nothing, the photos laid
+    onto it, or where they disagree."""
     dark: bool = True
     show_texture: bool = True
     show_own_colours: bool = True
@@ -458,6 +458,17 @@ class State:
         return None
 
     @property
+    def has_run_cameras(self) -> bool:
+        """Whether the cameras on screen are those of a run."""
+        return self.run.status != "idle" or self.document_run is not None
+
+    @property
+    def worn(self) -> Surface:
+        """What the object shows now; a texture that was made is shown by itself."""
+        is_textured = self.run.status == "idle" and self.texture_has_cameras
+        return self.surface if self.has_run_cameras and not is_textured else "clay"
+
+    @property
     def picture(self) -> bytes | None:
         """The overlay, a JPEG file; of a blink the photo whose turn it is."""
         if self.drawn is None:
@@ -506,12 +517,20 @@ class State:
         return used.index(self.selected) if self.selected in used else 0
 
     @property
-    def texture_is_current(self) -> bool:
-        """Whether the texture was made with cameras and settings as they are now."""
+    def texture_has_cameras(self) -> bool:
+        """Whether the texture was made with the cameras as they are now."""
         now = self.document.used_cameras
         return (
             self.texture is not None
-            and self.texture.config == self.texture_config
             and len(now) == len(self.texture.cameras)
             and all(map(same_camera, now, self.texture.cameras))
+        )
+
+    @property
+    def texture_is_current(self) -> bool:
+        """Whether the texture was made with cameras and settings as they are now."""
+        return (
+            self.texture is not None
+            and self.texture.config == self.texture_config
+            and self.texture_has_cameras
         )

@@ -15,7 +15,7 @@ def wanted_view(state: State) -> OverlayView:
         through=state.through_style,
         mesh_opacity=state.mesh_opacity if state.through_style == "normals" else 0.0,
         start_line=state.start_line,
-        surface=state.surface,
+        surface=state.worn,
     )
 
 

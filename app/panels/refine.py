@@ -4,7 +4,7 @@ import viser
 
 from app.control.controller import Controller
 from app.model.durations import expected_seconds
-from app.model.markup import escaped, in_markdown
+from app.model.markup import escaped, in_markdown, opening
 from app.model.reducers import has_moved
 from app.model.run import PRESET_NAMES, Run
 from app.model.session import setting
@@ -15,6 +15,7 @@ from app.panels.freedom import FreedomPanel
 from app.panels.meter import VERDICTS
 from app.panels.runs import RunsPanel
 from app.web.controls import guarded, guarded_slow, put, put_value
+from app.web.widgets import BUTTON, ROW, SELECTED
 from photoreg.registration.config import PresetName, RegistrationConfig
 from photoreg.words import in_words, number
 
@@ -25,6 +26,10 @@ PRESET_HELP: dict[PresetName, str] = {
     "thorough": "A wider search, for very rough starts.",
     "paper": "The genetic algorithm of the paper alone, as published.",
 }
+NEXT_HTML = (
+    f'<div style="{ROW}"><button title="Opens tab 4, Export" style="{BUTTON};{SELECTED};'
+    f'padding:7px" {opening("4 Export")}>Next: make the texture</button></div>'
+)
 
 
 class RefinePanel:
@@ -49,6 +54,7 @@ class RefinePanel:
             icon=viser.Icon.PLAYER_PLAY,
             hint="Starts from the cameras as they are now.",
         )
+        self._next = gui.add_html(NEXT_HTML, visible=False)
         self._pause = gui.add_button(
             "Pause",
             icon=viser.Icon.PLAYER_PAUSE,
@@ -159,6 +165,8 @@ class RefinePanel:
         put(self._checks, "content", _checks(state) if idle and ready else "")
         put(self._start, "visible", idle)
         put(self._start, "disabled", not ready or state.job is not None)
+        is_next = idle and state.has_run_cameras and not state.texture_has_cameras
+        put(self._next, "visible", is_next and state.grade != "unconvincing")
         stopping = run.status == "stopping"
         paused = run.status == "paused"
         put(self._pause, "visible", run.is_active and not paused)

@@ -49,7 +49,6 @@ class SceneNodes:
         self._up: tuple[float, float, float] | None = None
         self._texture: object = None
         self._textured: viser.GlbHandle | None = None
-        self._run_is_shown = False
         self._surfaces: list[viser.GlbHandle] = []
         self._surface_glb: bytes | None = None
         self._surface_count = 0
@@ -73,9 +72,9 @@ class SceneNodes:
         """Makes the nodes as ``state`` has them; sends only what changed."""
         self._show_mesh(state)
         self._show_lines(state)
+        self._show_surface(state)
         self._show_texture(state)
         self._show_cloud(state.cloud)
-        self._show_surface(state.surface_glb)
         self.frusta.show(state, self.frame)
         self.gizmos.show(state, self.frame)
         self.markers.show(state, self.frame)
@@ -182,13 +181,14 @@ class SceneNodes:
             point_shape="circle",
         )
 
-    def _show_surface(self, glb: bytes | None) -> None:
-        """Shows the surface of a run; the node before stays until the next one comes.
+    def _show_surface(self, state: State) -> None:
+        """Shows what the object wears; the node before stays until the next one comes.
 
         A browser needs a moment to read a model: taken away at once, the old one would
         leave a gap.
         """
-        if not self._run_is_shown or glb is None:
+        glb = state.surface_glb
+        if state.worn == "clay" or glb is None:
             for node in self._surfaces:
                 node.remove()
             self._surfaces, self._surface_glb = [], None
@@ -212,13 +212,11 @@ class SceneNodes:
                 self._textured = self._server.scene.add_glb(
                     "/solid/textured", state.texture.glb
                 )
-        textured = self._textured is not None and state.show_texture
+        is_worn = bool(self._surfaces)
+        textured = self._textured is not None and state.show_texture and not is_worn
         if self._textured is not None:
             put(self._textured, "visible", textured)
-        self._run_is_shown = state.run.status != "idle" and state.surface != "clay"
-        covered = textured or (self._run_is_shown and bool(self._surfaces))
-        if self._textured is not None and self._run_is_shown:
-            put(self._textured, "visible", False)
+        covered = textured or is_worn
         wears_own = self._own is not None and state.show_own_colours
         if self._own is not None:
             put(self._own, "visible", wears_own and not covered)

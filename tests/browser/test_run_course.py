@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 
 import pytest
+from playwright.sync_api import expect
 
 from app.model.session import setting
 from app.panels.overlay import LEVEL, RESTART
@@ -93,15 +94,40 @@ def test_stop_and_revert_leaves_the_cameras_as_they_were(app):
     assert app.state.undo_name is None, "a run that was dropped is no step of undo"
 
 
-def test_stop_and_keep_offers_the_best_so_far(app):
+WORN = """() => {
+  const nodes = __viserMutable.nodeRefFromName;
+  const isShown = name => nodes[name] && nodes[name].visible;
+  return [Object.keys(nodes).some(n => n.startsWith('/solid/run-') && isShown(n)),
+          Boolean(isShown('/solid/clay'))];
+}"""
+"""Whether the model wears the photos, and whether its bare surface shows."""
+
+
+def test_stop_and_keep_offers_the_best_so_far_which_the_model_wears_once_accepted(app):
     start(app)
     app.driver.click("Stop and keep the best")
     wait_until(lambda: app.state.run.status == "review", "it stops", 60)
     assert app.state.run.curve[-1].best < 1.0
     app.driver.click("Accept")
     wait_until(lambda: app.state.undo_name == "Refine", "the cameras are taken")
+    window = app.driver.page
+
+    def is_worn(on: bool) -> None:
+        wait_until(lambda: window.evaluate(WORN) == [on, not on], f"worn: {on}", 30)
+
+    app.driver.frames(3)
+    is_worn(True)
+    app.driver.click("Next: make the texture")
+    tab = window.get_by_role("tab", name="4 Export")
+    expect(tab).to_have_attribute("aria-selected", "true")
     app.driver.click("Undo: Refine")
     wait_until(lambda: app.state.undo_name is None, "undo takes it back")
+    is_worn(False)
+    app.driver.click("Redo: Refine")
+    is_worn(True)
+    app.driver.click("Undo: Refine")
+    app.driver.tab("3 Refine")
+    expect(window.get_by_role("button", name="Next: make the texture")).to_be_hidden()
 
 
 def test_a_stopped_run_goes_on_and_may_be_stopped_again(app):
