@@ -16,7 +16,7 @@ from packaging.requirements import Requirement
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "licences.md"
 BEGIN, END = "<!-- licences: written by `make licences` -->", "<!-- end of licences -->"
-EXTRAS = ("cluster", "draco", "jxl", "report")
+EXTRAS = ("cluster", "draco", "jxl", "report", "usd")
 """Extras that users install; the others are for developers."""
 
 Kind = Literal["permissive", "weak copyleft", "copyleft", "unknown"]
@@ -65,7 +65,7 @@ def kind(said: str) -> Kind:
         return "copyleft"
     if re.search(r"LGPL|MPL|EPL", said):
         return "weak copyleft"
-    if re.search(r"MIT|BSD|Apache|ISC|PSF|Zlib|HPND|Python", said):
+    if re.search(r"MIT|BSD|Apache|TOST|ISC|PSF|Zlib|HPND|Python", said):
         return "permissive"
     return "unknown"
 

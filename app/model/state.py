@@ -196,7 +196,7 @@ class Texture:
     """Seconds that it took to be made."""
 
 
-ModelFormat = Literal["obj", "glb", "ply", "coloured ply"]
+ModelFormat = Literal["obj", "glb", "usdz", "ply", "coloured ply"]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -43,6 +43,7 @@ PICTURES = {
 FORMATS = {
     "obj": Option("OBJ", "OBJ, MTL and picture in a zip, for any 3-D program."),
     "glb": Option("GLB", "One file with all in it, for the web and for viewers."),
+    "usdz": Option("USDZ", "One file with all in it, for Apple’s devices."),
     "ply": Option("PLY", "PLY with its picture in a zip, for MeshLab."),
     "coloured ply": Option("PLY, no picture", "Colours at the vertices, no texture."),
 }

@@ -37,14 +37,14 @@ def texture_command(
     config: Annotated[TextureConfig, tyro.conf.arg(name="")] = TextureConfig(),
     json: bool = False,
 ) -> int:
-    """Lay the photos onto the mesh: a textured OBJ, GLB or PLY.
+    """Lay the photos onto the mesh: a textured OBJ, GLB, USDZ or PLY.
 
     Args:
         mesh: The scanned surface.
         photos: The photos to lay onto it.
         cameras: Their refined cameras, in any format that `photoreg convert` reads.
-        out: Where the model goes: .glb, all in one file; .obj, with MTL and PNG beside
-            it; .ply, with a PNG.
+        out: Where the model goes: .glb or .usdz (extra `usd`), all in one file; .obj, with
+            MTL and PNG beside it; .ply, with a PNG.
         at_vertices: For .ply: colours at the vertices instead of a texture.
         picture: The texture as PNG, or as JPEG, which is several times smaller.
         coverage: Also write a picture (.png) of which photo each texel is from (hue) and

@@ -10,6 +10,8 @@ from photoreg.sources import open_for_reading
 
 GENERATOR = "photoreg"
 COMMENT = "made by photoreg"
+USDZ_LAYER = "photoreg.usdc"
+"""Name of the first file in a USDZ."""
 
 _HEAD_BYTES = 4096
 _MAX_GLTF_BYTES = 1 << 24
@@ -19,6 +21,7 @@ _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_HEADER_END = 33
 """Bytes of the signature and of the header chunk, which comes first in every PNG."""
 _JPEG_START = b"\xff\xd8"
+_ZIP_START, _ZIP_NAME_AT = b"PK\3\4", 30
 
 
 def _png_chunk(kind: bytes, content: bytes) -> bytes:
@@ -49,7 +52,7 @@ def is_marked(path: Path) -> bool:
 
     It does so at its beginning, as its format permits: by its "format" or "generator"
     in JSON and glTF, as a comment line, as a table's last column, by a PNG's software, by
-    a JPEG's comment.
+    a JPEG's comment, by the name of a USDZ's first file.
 
     Raises:
         OSError: if it cannot be read.
@@ -63,6 +66,8 @@ def is_marked(path: Path) -> bool:
         return head.startswith(_PNG_MARK, _PNG_HEADER_END)
     if head.startswith(_JPEG_START):
         return head.startswith(_JPEG_MARK, len(_JPEG_START))
+    if head.startswith(_ZIP_START):
+        return head.startswith(USDZ_LAYER.encode(), _ZIP_NAME_AT)
     lines = head.splitlines()[:5]
     return _JSON.match(head) is not None or any(map(_LINE.fullmatch, lines))
 

@@ -13,12 +13,13 @@ from trimesh.visual.material import PBRMaterial
 
 from photoreg.formats.mark import GENERATOR
 from photoreg.formats.models.encode_texture import PictureKind, encode_picture
-from photoreg.formats.models.split_vertices import source_files, split_at_seams
+from photoreg.formats.models.split_vertices import (
+    origin_to_write,
+    source_files,
+    split_at_seams,
+)
 from photoreg.formats.writing import NOTHING, Content, check_suffix, write_files
 from photoreg.texture.bake import TexturedMesh
-
-FAR_OFF = 16.0
-"""Coordinates larger than so many diagonals of the mesh are written from its middle."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,11 +70,9 @@ def textured_glb(textured: TexturedMesh, picture: PictureKind = "png") -> bytes:
     """The file of `save_textured_glb`, for a download."""
     vertex_index, uv, faces = split_at_seams(textured)
     mesh = textured.mesh
-    middle = mesh.bounds.mean(axis=0)
-    if np.abs(middle).max() < FAR_OFF * mesh.diagonal:
-        middle = np.zeros(3)
+    origin = origin_to_write(mesh)
     model = trimesh.Trimesh(
-        mesh.vertices[vertex_index] - middle,
+        mesh.vertices[vertex_index] - origin,
         faces,
         vertex_normals=mesh.normals_to_keep[vertex_index],
         visual=trimesh.visual.TextureVisuals(uv, _material(textured, picture)),
@@ -81,7 +80,7 @@ def textured_glb(textured: TexturedMesh, picture: PictureKind = "png") -> bytes:
         validate=False,
     )
     move = np.eye(4)
-    move[:3, 3] = middle
+    move[:3, 3] = origin
     scene = trimesh.Scene()
     scene.add_geometry(model, node_name="model", geom_name="model", transform=move)
     return export_glb(scene, include_normals=True, tree_postprocessor=_signed)

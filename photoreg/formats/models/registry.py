@@ -10,6 +10,7 @@ from photoreg.formats.models.encode_texture import PictureKind
 from photoreg.formats.models.glb import save_textured_glb
 from photoreg.formats.models.obj import obj_files, save_textured_obj
 from photoreg.formats.models.ply import ply_files, save_coloured_ply, save_textured_ply
+from photoreg.formats.models.usdz import check_usd_core, save_textured_usdz
 from photoreg.formats.writing import NOTHING, Content, check_suffix
 from photoreg.texture.bake import TexturedMesh
 
@@ -20,6 +21,7 @@ TEXTURED_FORMATS: dict[str, _Save] = {
     ".obj": save_textured_obj,
     ".glb": save_textured_glb,
     ".ply": save_textured_ply,
+    ".usdz": save_textured_usdz,
 }
 """Suffix to what writes it and returns the files, the model first."""
 
@@ -30,7 +32,8 @@ def textured_files(
     """The files that `save_textured` will write, the model first.
 
     Raises:
-        OutputError: if the suffix is none that it writes.
+        OutputError: if the suffix is none that it writes, or what writes it is not
+            installed.
     """
     path = check_suffix(path, (".ply",) if at_vertices else tuple(TEXTURED_FORMATS))
     match path.suffix.lower():
@@ -38,6 +41,8 @@ def textured_files(
             return obj_files(path, picture)
         case ".ply" if not at_vertices:
             return ply_files(path, picture)
+        case ".usdz":
+            check_usd_core()
     return [path]
 
 
@@ -49,7 +54,7 @@ def save_textured(
     overwrite: bool = False,
     beside: Mapping[Path, Content] = NOTHING,
 ) -> list[Path]:
-    """Writes a textured model: .obj (with MTL and picture), .glb or .ply (with picture).
+    """Writes a textured model: .obj (with MTL and picture), .glb, .usdz or .ply (with picture).
 
     Args:
         path: Where the model goes.

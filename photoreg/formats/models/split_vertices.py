@@ -5,8 +5,20 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
+from photoreg.geometry.mesh import Mesh
 from photoreg.texture import kernels
 from photoreg.texture.bake import TexturedMesh
+
+FAR_OFF = 16.0
+"""Coordinates larger than so many diagonals of the mesh are written from its middle."""
+
+
+def origin_to_write(mesh: Mesh) -> Float[np.ndarray, "3"]:
+    """Where coordinates in single precision start: the world's origin, or the middle."""
+    middle = mesh.bounds.mean(axis=0)
+    if np.abs(middle).max() < FAR_OFF * mesh.diagonal:
+        return np.zeros(3)
+    return middle
 
 
 def split_at_seams(

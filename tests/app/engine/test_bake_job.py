@@ -81,6 +81,13 @@ def test_a_model_of_one_file_is_not_zipped(baker, baked, format):
     assert len(loaded.faces) == len(toy_scene()[0].faces)
 
 
+def test_usdz_is_one_file(baker, baked):
+    packed = baker.pack(ModelChoice("usdz"))
+    assert packed.name == "rock.usdz"
+    with zipfile.ZipFile(io.BytesIO(packed.content)) as archive:
+        assert archive.namelist()[0].endswith(".usdc")
+
+
 def test_without_a_texture_there_is_nothing_to_pack():
     with pytest.raises(InputError, match="Make it anew"):
         BakeJob().pack(ModelChoice())
