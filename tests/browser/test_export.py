@@ -5,11 +5,18 @@ import json
 import zipfile
 from typing import Any
 
+import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
+from app.model.session import with_document
+from app.model.state import PhotoEntry
 from photoreg.formats.cameras.camera_set import largest_shift_px
 from photoreg.formats.cameras.registry import read_cameras
+from photoreg.geometry.camera import Camera
+from photoreg.geometry.lens import Lens
+from photoreg.imaging.photo import Photo
 from tests.browser.app import App
 from tests.browser.driver import wait_until
 
@@ -87,3 +94,48 @@ def test_the_texture_is_made_as_chosen_and_downloaded_as_glb(
     assert name == "cameras.json"
     entries = json.loads(content)["cameras"]
     assert [e["photo"] for e in entries] == [e.name for e in toy_document.photos]
+
+
+def seen(camera: Camera) -> np.ndarray:
+    """What a camera at its place sees of far waves of colour, pixel by pixel.
+
+    They are a function of the direction alone, so a lens and an ideal one are rendered
+    exactly; half a wave is 15 px or more.
+    """
+    rows, columns = np.mgrid[: camera.height, : camera.width]
+    _, rays = camera.rays(np.stack([columns.ravel(), rows.ravel()], axis=1) * 1.0)
+    x, y, z = (rays @ camera.R_cam_world.T).T
+    waves = np.array([[55.0, 20.0], [-30.0, 50.0], [15.0, -60.0]])
+    light = 128 + 90 * np.sin(np.stack([x / z, y / z], axis=1) @ waves.T)
+    return np.rint(light).astype(np.uint8).reshape(camera.height, camera.width, 3)
+
+
+def test_undistorted_photos_are_as_a_pinhole_camera_would_have_taken_them(
+    app, toy_document, tmp_path
+):
+    camera = Camera.look_at([3, 1, 2], [0, 0, 0.1], [0, 0, 1], 300.0, 320, 240)
+    camera = camera.with_lens(Lens(k1=-0.1))
+    entry = PhotoEntry(Photo("bent.png", seen(camera)), camera)
+    app.session.change("Open", with_document(photos=(entry,)))
+    driver = app.driver
+    driver.page.get_by_role("combobox", name="For", exact=True).click()
+    driver.page.get_by_role("option", name="COLMAP (binary)").click()
+    driver.page.get_by_role("checkbox", name="Undistorted").check()
+    wait_until(lambda: app.state.cameras_choice.undistorted, "the choice arrives")
+    name, content = downloaded(driver, "Download the cameras")
+    assert name == "cameras-colmap.zip"
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        archive.extractall(tmp_path)
+    (read,) = read_cameras(tmp_path / "sparse" / "0").cameras.values()
+    assert read.lens.is_ideal
+    assert largest_shift_px(camera.pinhole, read) < 1e-6
+    with Image.open(tmp_path / "images" / "bent.png") as picture:
+        pixels = np.asarray(picture.convert("RGB")).astype(float)
+    expected = seen(camera.pinhole)
+    error = np.abs(pixels - expected)
+    # Cubic interpolation between rounded levels; the bent photo is 15 levels off.
+    assert error.mean() < 0.6, error.mean()
+    assert error.max() < 4.0, error.max()
+    bent = np.abs(seen(camera).astype(float) - expected).mean()
+    assert bent > 10.0, bent
+    app.session.change("Open", with_document(photos=toy_document.photos))
