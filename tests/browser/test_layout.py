@@ -47,6 +47,9 @@ def cameras_are_shown(driver: Driver) -> bool:
 
 def test_all_is_framed_by_key_by_button_and_when_undo_brings_another_mesh(app):
     driver = app.driver
+    wait_until(lambda: cameras_are_shown(driver), "the scene is there", 20)
+    driver.rest()
+    driver.page.keyboard.press("h")
     driver.rest()
     home = driver.viewport_camera()[0]
 
