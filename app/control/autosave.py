@@ -16,7 +16,7 @@ from typing import Any
 from app.control.run_store import RunStore
 from app.model.run import Run
 from app.model.session import Session, setting
-from app.model.state import Document, State
+from app.model.state import Document, State, Texture
 from app.model.undo_history import UndoStep
 from photoreg.errors import InputError, OutputError, PhotoregError
 from photoreg.project.project import Project, StoredStep
@@ -92,7 +92,7 @@ CHOICES: dict[str, Any] = {
 DOCUMENT_TYPES = tuple(
     functools.reduce(
         lambda found, hint: _types_of(hint, found),
-        [Document, Run, ProjectResult, *CHOICES.values()],
+        [Document, Run, Texture, ProjectResult, *CHOICES.values()],
         {},
     )
 )
@@ -100,6 +100,7 @@ DOCUMENT_TYPES = tuple(
 
 
 RUNS_TYPE = tuple[Run, ...]
+TEXTURE_TYPE = Texture | None
 
 
 class Autosave:
@@ -158,6 +159,7 @@ class Autosave:
         choices |= {
             "note": note,
             "runs": runs,
+            "texture": self.project.read_setting("texture", None, TEXTURE_TYPE),
             "kept_search": self._runs.take_up(run, runs),
         }
         return lambda: self._session.restore(
@@ -224,6 +226,7 @@ class Autosave:
         run_goes_on = old.run.is_active and old.run.status == new.run.status
         if (
             new.document is not old.document
+            or new.texture is not old.texture
             or _choices(new) != _choices(old)
             or (
                 new.run is not old.run
@@ -312,6 +315,7 @@ class Autosave:
                     "choices": _choices(state),
                     "run": state.run,
                     "runs": state.runs,
+                    "texture": state.texture,
                     RESULT: result_of(state),
                 }
             )

@@ -153,12 +153,17 @@ class Controller:
         """Has the textured model made into a file; ``deliver`` is then called with it."""
         with self._lock:
             state = self.session.state
-            if state.texture is None:
+            texture = state.texture
+            if texture is None:
                 raise InputError("Make the texture first.")
             must_be_idle(state)
             self._set(job=Job("Packing the files"))
             self._deliver = deliver
-            self.worker.send(Pack(state.model_choice))
+            self._send_scene(state.document)
+            made_with = Bake(texture.cameras, texture.config)
+            self.worker.send(
+                Pack(state.model_choice, made_with, state.texture_is_current)
+            )
 
     def pack_cameras(self) -> CamerasDownload:
         """The document's cameras as a file in the format chosen.

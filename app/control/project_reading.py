@@ -16,7 +16,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
-from app.control.autosave import DOCUMENT_TYPES, RUNS_TYPE
+from app.control.autosave import DOCUMENT_TYPES, RUNS_TYPE, TEXTURE_TYPE
 from app.engine.spawn import PATIENCE_S, spawned
 from app.model.masks import check_mask
 from app.model.messages import Failed
@@ -158,7 +158,7 @@ def read_all(
         folder,
         DOCUMENT_TYPES,
         Document,
-        {"run": Run, "runs": RUNS_TYPE},
+        {"run": Run, "runs": RUNS_TYPE, "texture": TEXTURE_TYPE},
         files=files,
         on_part=on_part,
     )

@@ -13,7 +13,7 @@ from app.model.messages import Baked, Download, Working
 from app.model.state import ModelChoice, Texture
 from photoreg.errors import InputError
 from photoreg.formats.models.registry import textured_download
-from photoreg.geometry.camera import Camera
+from photoreg.geometry.camera import Camera, same_camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.imaging.encoding import encode_jpeg
 from photoreg.imaging.photo import Photo
@@ -42,6 +42,7 @@ class BakeJob:
         self._keep_uv = True
         self._atlas: Atlas | None = None
         self._textured: TexturedMesh | None = None
+        self._made_with: tuple[Sequence[Camera], TextureConfig] = (), TextureConfig()
 
     def bake(
         self,
@@ -72,21 +73,32 @@ class BakeJob:
                 yield Working("Making the preview", 0.95)
                 doubts = doubts_about_texture(step, photos, cameras, verdict)
                 texture = _texture(step, photos, cameras, config, tuple(doubts))
-                self._textured = step
+                self._textured, self._made_with = step, (tuple(cameras), config)
                 took_s = time.monotonic() - began
                 yield Baked(dataclasses.replace(texture, took_s=took_s))
+
+    def has(self, mesh: Mesh, cameras: Sequence[Camera], config: TextureConfig) -> bool:
+        """Whether the model made last is of this mesh, and was made with these."""
+        if self._textured is None:
+            return False
+        known, (before, config_before) = self._textured.mesh, self._made_with
+        return (
+            config == config_before
+            and len(before) == len(cameras)
+            and all(map(same_camera, before, cameras))
+            and np.array_equal(known.vertices, mesh.vertices)
+            and np.array_equal(known.faces, mesh.faces)
+        )
 
     def pack(self, choice: ModelChoice) -> Download:
         """The model made last as one file for download.
 
         Raises:
-            InputError: if there is none, as after the process was started again.
+            InputError: if there is none.
         """
         textured = self._textured
         if textured is None:
-            raise InputError(
-                "The engine was started again since the texture was made. Make it anew."
-            )
+            raise InputError("There is no texture. Make it first.")
         at_vertices = choice.format == "coloured ply"
         suffix = ".ply" if at_vertices else f".{choice.format}"
         name = f"{Path(textured.mesh.name).stem or 'model'}{suffix}"

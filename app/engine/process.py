@@ -155,8 +155,7 @@ class WorkerProcess:
                 self._drop_preparation()  # The memory is needed.
                 self._bake(job)
             case Pack():
-                self._send(Working("Packing the files", 0.5))
-                self._send(self._baker.pack(job.choice))
+                self._pack(job)
             case FindCameras():
                 self._drop_preparation()
                 self._find_cameras(job)
@@ -261,6 +260,24 @@ class WorkerProcess:
                 self._is_timed = True
                 self._send(Timed(speed))
         return True
+
+    def _pack(self, job: Pack) -> None:
+        mesh, made_with = self._scene_mesh(), job.made_with
+        is_there = self._baker.has(mesh, made_with.cameras, made_with.config)
+        if not is_there and job.can_be_made:
+            self._drop_preparation()
+            for step in self._baker.bake(
+                mesh, self._photos, made_with.cameras, made_with.config
+            ):
+                if isinstance(step, Working):
+                    self._send(step)
+        elif not is_there:
+            raise PhotoregError(
+                "The engine was started again since the texture was made, and cameras or "
+                "settings have changed. Make it anew."
+            )
+        self._send(Working("Packing the files", 0.96))
+        self._send(self._baker.pack(job.choice))
 
     def _check(self, cameras: tuple[Camera, ...]) -> None:
         """Tells whether a run from there can work."""

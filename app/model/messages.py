@@ -124,9 +124,13 @@ class Bake:
 
 @dataclasses.dataclass(frozen=True)
 class Pack:
-    """Make a file for download of the textured model made last."""
+    """Make a file for download of the textured model."""
 
     choice: ModelChoice
+    made_with: Bake
+    """What the model was made with; where the worker has it no more, it is made again."""
+    can_be_made: bool = True
+    """Whether that would be the same model: photos and settings are as they were."""
 
 
 @dataclasses.dataclass(frozen=True)

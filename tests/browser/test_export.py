@@ -1,24 +1,34 @@
 """The Export tab in a real browser: the texture and the files to take home."""
 
+import contextlib
 import io
 import json
 import zipfile
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from playwright.sync_api import Browser
 
-from app.model.session import with_document
-from app.model.state import PhotoEntry
+from app.control.controller import Controller
+from app.control.project_reading import read_all
+from app.control.projects import Projects
+from app.model.session import Session, setting, with_document
+from app.model.state import ModelChoice, PhotoEntry
+from app.page.main import open_project
+from app.page.server import Page
 from photoreg.formats.cameras.camera_set import largest_shift_px
 from photoreg.formats.cameras.registry import read_cameras
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.lens import Lens
 from photoreg.imaging.photo import Photo
+from photoreg.texture.config import TextureConfig
 from tests.browser.app import App
-from tests.browser.driver import wait_until
+from tests.browser.driver import Driver, wait_until
 
 
 def downloaded(driver, button: str) -> tuple[str, bytes]:
@@ -139,3 +149,45 @@ def test_undistorted_photos_are_as_a_pinhole_camera_would_have_taken_them(
     bent = np.abs(seen(camera).astype(float) - expected).mean()
     assert bent > 10.0, bent
     app.session.change("Open", with_document(photos=toy_document.photos))
+
+
+@contextlib.contextmanager
+def app_on_project(chromium: Browser, folder: Path) -> Iterator[App]:
+    """The app on a project, with the Export tab open; it is closed as a person closes it."""
+    session = Session()
+    projects = Projects(session, read=read_all)
+    open_project(projects, (), None, folder)
+    controller = Controller(session, warm_up=False, projects=projects)
+    page = Page(session, controller, port=0, shadows=False, surroundings=False)
+    window = chromium.new_page(viewport={"width": 1100, "height": 700})
+    try:
+        app = App(
+            session, controller, page, Driver(window, f"http://127.0.0.1:{page.port}")
+        )
+        app.driver.dismiss_toasts()
+        app.driver.tab("4 Export")
+        yield app
+    finally:
+        window.close()
+        page.close()
+        controller.close()
+        projects.close()
+
+
+def test_a_texture_is_there_when_its_project_is_opened_again(
+    chromium, toy_document, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("PHOTOREG_DATA", str(tmp_path / "data"))
+    with app_on_project(chromium, tmp_path / "work") as app:
+        app.session.change("Open", with_document(**vars(toy_document)))
+        choices = {"texture_config": TextureConfig(size=256)}
+        app.session.change(None, setting(model_choice=ModelChoice("glb"), **choices))
+        app.driver.click("Make the texture")
+        wait_until(lambda: app.state.texture is not None, "the texture is made", 180)
+        made = downloaded(app.driver, "Download the model")
+    with app_on_project(chromium, tmp_path / "work") as app:
+        app.driver.page.get_by_text("Texture of 256").wait_for()
+        app.driver.frames(3)
+        shown = "() => __viserMutable.nodeRefFromName['/solid/textured']?.visible"
+        wait_until(lambda: app.driver.page.evaluate(shown), "the model wears it", 30)
+        assert downloaded(app.driver, "Download the model") == made

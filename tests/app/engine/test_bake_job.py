@@ -89,7 +89,7 @@ def test_usdz_is_one_file(baker, baked):
 
 
 def test_without_a_texture_there_is_nothing_to_pack():
-    with pytest.raises(InputError, match="Make it anew"):
+    with pytest.raises(InputError, match="Make it first"):
         BakeJob().pack(ModelChoice())
 
 
@@ -155,3 +155,17 @@ def test_cameras_of_another_world_and_unconvincing_ones_are_told_as_in_the_comma
     *_, baked = baker.bake(mesh, photos, cameras)
     assert isinstance(baked, Baked)
     assert baked.texture.doubts == ()
+
+
+def test_a_model_is_told_by_its_mesh_its_cameras_and_its_settings():
+    mesh, photos, cameras = toy_scene()
+    baker, config = BakeJob(), TextureConfig(size=256)
+    assert not baker.has(mesh, cameras, config)
+    list(baker.bake(mesh, photos, cameras, config))
+    same = dataclasses.replace(mesh, vertices=mesh.vertices.copy())
+    assert baker.has(same, list(cameras), TextureConfig(size=256))
+    assert not baker.has(mesh, cameras[::-1], config)
+    assert not baker.has(mesh, cameras[:1], config)
+    assert not baker.has(mesh, cameras, TextureConfig(size=512))
+    other = dataclasses.replace(mesh, vertices=mesh.vertices + 1e-3)
+    assert not baker.has(other, cameras, config)
