@@ -100,7 +100,8 @@
 
   // viser's greys, and in its light theme its teal and red, are too faint to read.
   // In narrow panels its scrollbar would lie on the inputs, and the arrows of three numbers
-  // in a row on their digits: the keyboard's arrows do the same.
+  // in a row on their digits: the keyboard's arrows do the same. Three have a row of their
+  // own, below their label: coordinates of surveys are long.
   // Where the system asks for less motion, only what a person lets blink moves by itself.
   const first = ".mantine-NumberInput-root:first-child:nth-last-child(3)";
   const triple = `:is(${first}, ${first} ~ .mantine-NumberInput-root)`;
@@ -108,6 +109,8 @@
   style.textContent = `
   .mantine-Notification-description{color:inherit}
   .mantine-ScrollArea-root{--scrollarea-scrollbar-size:6px!important}
+  .mantine-Flex-root:has(>:first-child>p>label):has(${first}){flex-wrap:wrap}
+  .mantine-Flex-root:has(>:first-child>p>label):has(${first})>*{width:100%!important}
   ${triple} .mantine-NumberInput-section{display:none}
   ${triple} input{padding-inline:.35em!important}
   .mantine-Modal-content:has(.pr-keys){--modal-size:46rem}

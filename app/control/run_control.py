@@ -192,6 +192,7 @@ def report_of(state: State, compared: Compared) -> RunReport:
         photo_names=run.photo_names,
         start=run.start,
         cameras=run.cameras,
+        unit=state.document.unit,
         config=run.config,
     )
 

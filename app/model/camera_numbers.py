@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from app.model.camera_moves import STEP_ASIDE_DEG, orbit_axes, orbited, with_focal
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
+from photoreg.words import number
 
 FILM_DIAGONAL_MM = 43.27
 """Of 35 mm film: 36 x 24 mm."""
@@ -117,8 +118,8 @@ def with_center(camera: Camera, center: np.ndarray, reach: float) -> Camera:
     """
     if not np.abs(center).max() <= reach:
         raise InputError(
-            f"A position should be within {reach:.4g} of the model's origin, but is "
-            f"{', '.join(f'{v:g}' for v in center)}."
+            f"A position should be within {number(reach, 4)} of the model's origin, but is "
+            f"{', '.join(f'{v:.10g}' for v in center)}."
         )
     return dataclasses.replace(camera, t_cam_world=-camera.R_cam_world @ center)
 

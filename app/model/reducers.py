@@ -170,7 +170,7 @@ def ended(state: State, event: Refined) -> State:
         mesh, mesh_error = state.document.mesh, finished.mesh_error
         told = ()
         if mesh is not None and mesh_error is not None:
-            told = (mesh_error.in_words(mesh.diagonal),)
+            told = (mesh_error.in_words(mesh.diagonal, state.document.unit),)
         run = dataclasses.replace(
             run,
             outcome=finished.reason,

@@ -38,6 +38,7 @@ from photoreg.texture.config import TextureConfig
 
 GizmoKind = Literal["move", "orbit"]
 UpAxis = Literal["auto", "y", "z"]
+Unit = Literal["", "mm", "cm", "m"]
 HeldPart = Literal["pose", "focal", "principal_point", "lens"]
 
 
@@ -136,6 +137,8 @@ class Document:
     """Upwards in world axes, for the view and for first cameras."""
     up_axis: UpAxis = "auto"
     """How ``up`` is found: guessed from mesh and cameras, or as chosen."""
+    unit: Unit = ""
+    """Of the mesh's coordinates, as a person says; empty: not known."""
 
     @property
     def has_lens(self) -> bool:

@@ -108,7 +108,10 @@ class AlignPanel:
                 hint="Lens distortion, OpenCV's tangential terms.",
             )
             self._position = gui.add_vector3(
-                "Position", (0.0, 0.0, 0.0), step=0.01, hint="In the model's units."
+                "Position",
+                (0.0, 0.0, 0.0),
+                step=0.01,
+                hint="Where the camera stands, in the scan's coordinates and unit.",
             )
             self._direction = gui.add_vector3(
                 "Turn, tilt, roll",
@@ -299,7 +302,11 @@ class AlignPanel:
         put_value(
             self._dolly, round(float(np.clip(film_mm(camera), *FILM_RANGE_MM)), 1)
         )
-        place = 6 - int(np.floor(np.log10(max(np.abs(camera.center).max(), 1e-12))))
+        n_decimals = _n_decimals(state, camera)
+        unit = state.document.unit
+        put(self._position, "label", f"Position, {unit}" if unit else "Position")
+        for control in (self._position, self._around):
+            put(control, "precision", max(3, n_decimals))
         around = camera_numbers.around(camera, _anchor(state), up)
         values = (
             (round(camera.focal_px, 1),),
@@ -310,16 +317,25 @@ class AlignPanel:
                 round(v, 6) for v in (camera.lens.k1, camera.lens.k2, camera.lens.k3)
             ),
             tuple(round(v, 6) for v in (camera.lens.p1, camera.lens.p2)),
-            tuple(round(float(v), max(0, place - 1)) for v in camera.center),
+            tuple(round(float(v), n_decimals) for v in camera.center),
             tuple(round(float(v), 3) for v in camera_numbers.direction_deg(camera, up)),
             (
                 round(float(around[0]), 3),
                 round(float(around[1]), 3),
-                round(float(around[2]), max(0, place - 1)),
+                round(float(around[2]), n_decimals),
             ),
         )
         for typed, value in zip(self._typed, values, strict=True):
             typed.show(value)
+
+
+def _n_decimals(state: State, camera: Camera) -> int:
+    """Decimals of a place: a hundred-thousandth of the object, in ten digits at most."""
+    far = float(np.abs(camera.center).max())
+    mesh = state.document.mesh
+    size = far if mesh is None else mesh.diagonal
+    before, fine = (int(np.floor(np.log10(max(v, 1e-12)))) for v in (far, size))
+    return max(0, min(5 - fine, 9 - before))
 
 
 def _anchor(state: State) -> np.ndarray:

@@ -9,8 +9,8 @@ from app.model import photo_list
 from app.model.camera_moves import guessed_focal_px
 from app.model.markup import escaped, sending
 from app.model.point_pairs import index_of_photo
-from app.model.session import select, setting
-from app.model.state import PhotoEntry, State, UpAxis
+from app.model.session import select, setting, with_document
+from app.model.state import PhotoEntry, State, Unit, UpAxis
 from app.model.up_axis import guessed_up, with_up_axis
 from app.scene.own_colours import has_own_colours
 from app.web.bridge import Bridge, Values, Whole
@@ -21,12 +21,27 @@ from photoreg.formats.cameras.registry import CAMERA_SUFFIXES
 from photoreg.formats.photos.registry import formats_in_words
 from photoreg.geometry.mesh import Mesh
 from photoreg.limits import Limits
+from photoreg.words import number
 
 UP_AXES: dict[UpAxis, Option] = {
     "auto": Option("Auto", "Guessed from the mesh and its cameras."),
     "y": Option("Y", "The model's y axis points upwards."),
     "z": Option("Z", "The model's z axis points upwards, as in surveys and CAD."),
 }
+UNITS: dict[Unit, Option] = {
+    "": Option("None", "Lengths are told as bare numbers. Choose the scan's unit."),
+    "mm": Option(
+        "mm", "The scan is in millimetres. Lengths say so; nothing is scaled."
+    ),
+    "cm": Option(
+        "cm", "The scan is in centimetres. Lengths say so; nothing is scaled."
+    ),
+    "m": Option("m", "The scan is in metres. Lengths say so; nothing is scaled."),
+}
+
+
+def _unit(value: str) -> Unit:
+    return next(unit for unit in UNITS if unit == value)
 
 
 def _axis(value: str) -> UpAxis:
@@ -46,6 +61,13 @@ class DataPanel:
         self._limits = bridge.limits
         gui.add_markdown("A scanned surface, and the photos to lay onto it.")
         self._mesh_card = gui.add_html("")
+        self._unit = Choice(
+            gui,
+            bridge,
+            "Unit",
+            UNITS,
+            lambda _, value: session.change("Unit", with_document(unit=_unit(value))),
+        )
         self._up = Choice(
             gui,
             bridge,
@@ -159,6 +181,7 @@ class DataPanel:
             state.document.mesh,
             state.document.up,
             state.document.up_axis,
+            state.document.unit,
             state.selected,
             busy,
             tuple(
@@ -177,6 +200,7 @@ class DataPanel:
             return
         self._card_key = key
         put(self._mesh_card, "content", _mesh_card(state))
+        self._unit.show(state.document.unit, visible=mesh is not None)
         self._show_up(state)
         cards = "".join(
             self._card(i, entry, state, busy) for i, entry in enumerate(state.photos)
@@ -359,9 +383,9 @@ def _mesh_card(state: State) -> str:
         )
     size = mesh.bounds[1] - mesh.bounds[0]
     name = escaped(mesh.name)
-    facts = f"{len(mesh.faces):,} triangles · " + " × ".join(
-        f"{side:.3g}" for side in size
-    )
+    sides = " × ".join(number(float(side)) for side in size)
+    unit = state.document.unit
+    facts = f"{len(mesh.faces):,} triangles · {sides}{' ' if unit else ''}{unit}"
     return (
         f'<div style="{_COLUMN}"><div style="{_CARD}"><div style="min-width:0">'
         f'<div style="{_NAME}">{name}</div>'

@@ -6,6 +6,7 @@ import numpy as np
 
 AGREEMENT_PX = 0.05
 """An error of the mesh below this is told as none: matches are no better."""
+OWN_UNITS = "of the scan's units"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -17,14 +18,20 @@ class MeshError:
     sigma_px: float
     """How far that moves a place along the epipolar line, in pixels."""
 
-    def in_words(self, diagonal: float) -> str:
-        """One sentence; ``diagonal`` is the mesh's, in model units."""
+    def in_words(self, diagonal: float, unit: str = "") -> str:
+        """One sentence.
+
+        Args:
+            diagonal: The mesh's, in model units.
+            unit: What these are called, as "mm"; empty where that is not known.
+        """
         if self.sigma_px < AGREEMENT_PX:
             return f"Scan and photos agree to less than {AGREEMENT_PX:g} px."
+        length = f"{self.sigma:.2g} {unit or OWN_UNITS}"
         return (
-            f"Scan and photos disagree by about {self.sigma:.2g} of the scan's units along "
-            f"the surface's normal, {100.0 * self.sigma / diagonal:.2g} % of its diagonal, "
-            f"or {self.sigma_px:.2g} px in the photos."
+            f"Scan and photos disagree by about {length} along the surface's normal, "
+            f"{100.0 * self.sigma / diagonal:.2g} % of its diagonal, or "
+            f"{self.sigma_px:.2g} px in the photos."
         )
 
 

@@ -50,6 +50,8 @@ class RunReport:
     """One a photo."""
     cameras: Sequence[Camera]
     """One a photo."""
+    unit: str = ""
+    """Of the model's coordinates, where that is known."""
     config: RegistrationConfig | None = None
 
 
@@ -133,13 +135,13 @@ def _cameras(run: RunReport) -> str:
     for name, start, now in zip(run.photo_names, run.start, run.cameras, strict=True):
         for when, camera in (("before", start), ("now", now)):
             # Survey coordinates have seven digits before the point.
-            x, y, z = (f"{value:.10g}" for value in camera.center)
+            place = ", ".join(f"{value:.10g}" for value in camera.center)
             rows.append(
                 (
                     f"{name}, {when}",
                     f"focal length {camera.focal_px:.2f} px; principal point "
                     f"{camera.K[0, 2]:.2f}, {camera.K[1, 2]:.2f} px; stands at "
-                    f"{x}, {y}, {z}",
+                    f"{place} {run.unit}".rstrip(),
                 )
             )
     return _rows(rows)

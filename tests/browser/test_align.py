@@ -1,5 +1,7 @@
 """Every way to place a camera, with real mouse and keyboard; two browsers on one app."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from playwright.sync_api import expect
@@ -425,3 +427,44 @@ def test_a_second_browser_sees_the_move_and_nothing_fights(app, second):
     app.page._claims.drop(owner)
     second.choose("View", "3-D scene")
     undo(app, before)
+
+
+def test_units_are_chosen_and_survey_coordinates_are_read_whole(app, toy_document):
+    driver, page = app.driver, app.driver.page
+    mesh = toy_document.mesh
+    # A find of some centimetres in a national grid, in metres.
+    scale = 0.05 / mesh.diagonal
+    offset = np.array([431250.123, 5411800.456, 87.25])
+    far = dataclasses.replace(mesh, vertices=mesh.vertices * scale + offset)
+    photos = []
+    for entry in toy_document.photos:
+        camera = entry.camera
+        center = camera.center * scale + offset
+        moved = dataclasses.replace(camera, t_cam_world=-camera.R_cam_world @ center)
+        photos.append(dataclasses.replace(entry, camera=moved))
+    app.session.change(
+        "Open", with_document(mesh=far, display_mesh=far, photos=tuple(photos))
+    )
+    try:
+        driver.tab("1 Data")
+        driver.choose("Unit", "m")
+        wait_until(lambda: app.state.undo_name == "Unit", "it is a step of undo")
+        sides = " × ".join(f"{side:.3g}" for side in np.ptp(far.vertices, axis=0))
+        expect(page.get_by_text(f"{sides} m", exact=False)).to_be_visible()
+        driver.tab("2 Align")
+        fields = page.locator(
+            "div:has(> div > p > label:text-is('Position, m')) input:not([type=hidden])"
+        )
+        if not fields.first.is_visible():
+            page.get_by_text("Numbers", exact=True).click()
+        expect(fields).to_have_count(3)
+        center = app.state.document.photos[0].camera.center
+        for i, value in enumerate(center):
+            expect(fields.nth(i)).to_have_value(f"{round(float(value), 3)}")
+            is_whole = "e => e.scrollWidth <= e.clientWidth"
+            assert fields.nth(i).evaluate(is_whole), fields.nth(i).input_value()
+    finally:
+        app.session.change(
+            "Open",
+            with_document(**{**vars(toy_document), "photos": toy_document.photos}),
+        )

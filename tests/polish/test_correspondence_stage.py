@@ -108,6 +108,8 @@ def test_the_meshs_error_is_told_in_its_units_and_in_pixels():
         "Scan and photos disagree by about 0.41 of the scan's units along the surface's "
         "normal, 0.05 % of its diagonal, or 0.83 px in the photos."
     )
+    in_mm = MeshError(sigma=0.4123, sigma_px=0.83).in_words(824.6, "mm")
+    assert "by about 0.41 mm along the surface's normal" in in_mm
     exact = MeshError(sigma=1e-4, sigma_px=0.01)
     assert exact.in_words(824.6) == "Scan and photos agree to less than 0.05 px."
 
