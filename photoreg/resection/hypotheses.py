@@ -3,8 +3,8 @@
 The poses come from OpenCV: P3P of triples and SQPnP of all pairs. Which triples, and which
 explanation is the best, is decided here: OpenCV's own choice (USAC, MAGSAC) knows no
 prior of the focal length and no price of a pair left out. In four runs with gross pairs
-on the bench's temple the triples named these in all, SQPnP alone in three, USAC in the
-place of triples in two, in four times the time.
+on the bench's temple the triples found these in all, SQPnP alone in three, and USAC in
+place of the triples in two, taking four times as long.
 """
 
 import itertools
@@ -19,13 +19,13 @@ from photoreg.resection import pinhole_model
 from photoreg.resection.pinhole_model import Models, Pairs
 
 NOISE_FACTORS = (1.0, 2.0, 4.0)
-"""Clicks may be so much worse than expected, all of them, before some are outliers."""
+"""How much worse than expected all clicks may be, before some are called outliers."""
 OUTLIER_SHARE = 0.1
 """Share of pairs expected to be grossly wrong, anywhere in the photo."""
 MOST_TWO_FLIPS = 10
-"""Up to so many pairs, explanations two pairs apart are compared; beyond, one."""
+"""Up to this many pairs, explanations that differ in two are compared; beyond, in one."""
 MAX_TRIPLES = 24
-"""Triples that hypotheses come from, at most; they cost the time."""
+"""At most so many triples give hypotheses; they take most of the time."""
 
 
 class HypothesisSearch:
@@ -75,7 +75,7 @@ class HypothesisSearch:
         found = [f for f in found if len(f[0]) > 0]
         if not found:
             raise InputError(
-                "No camera sees these points so; check that each number marks the same "
+                "No camera sees these points like this; check that each number marks the same "
                 "point in the photo and on the surface."
             )
         models = pinhole_model.joined([f[0] for f in found])

@@ -40,14 +40,14 @@ def fit_k1(
     inliers: Bool[np.ndarray, "n"],
     trust: float = 1.0,
 ) -> LensFit:
-    """Least squares (MINPACK) over all of the pinhole's parameters and k1.
+    """Least squares (MINPACK) over all the pinhole's parameters and k1.
 
     Args:
-        start: One model, from which the solution is near.
+        start: One model, near the solution.
         pairs: Points, pixels and expectations; k1 is expected to be 0.
         sigma_px: Standard error of a pixel, each axis.
         inliers: The pairs that count.
-        trust: Share of the expectations that counts.
+        trust: How much of the prior counts, from 0 to 1.
     """
     weights = np.append(pairs.prior_weights, K1_SIGMA**-2)[6:]
     roots = trust * np.sqrt(weights)

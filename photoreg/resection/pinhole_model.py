@@ -1,13 +1,13 @@
 """A pinhole model to fit to points: projection, derivatives, batched robust fit.
 
-Knows arrays and many models at once, no cameras. The points are centred near the
-origin with size about 1. A model puts point X, turned to Y = R X, at the pixel
+It works on arrays and many models at once, and knows no cameras. The points are centred
+near the origin with size about 1. A model puts point X, turned to Y = R X, at the pixel
 
     p = c + (s A Y_xy + a - c) / (1 + s Y_z / f)
 
 with the pixel a of the points' centre, its scale s in pixels per unit, the focal length
 f, the principal point c, and A = [[1, skew], [0, aspect]]. It is the usual pinhole:
-the distance is f / s. But where the points are far away against their size, a and s
+the distance is f / s. But where the points are far away for their size, a and s
 stay well determined and only f is not, so that steps and priors act on what they name.
 """
 
@@ -204,7 +204,7 @@ def fit(
         damped[:, diagonal, diagonal] *= 1.0 + damping[:, None]
         damped[:, diagonal, diagonal] += 1e-9
         steps = -np.linalg.solve(damped, gradient[:, :, None])[:, :, 0]
-        # A turn or a doubling at once is beyond what the derivatives tell.
+        # Derivatives predict nothing of a step of a radian or a doubling.
         steps /= np.maximum(1.0, np.abs(steps).max(axis=1) / 0.7)[:, None]
         tried = models.moved(steps, pairs.unit_px)
         tried_cost, tried_gradient, tried_normal = at(tried)

@@ -41,11 +41,11 @@ PRINCIPAL_SIGMA_SIDES = 0.02
 """Standard error of the principal point, in longer sides of the photo."""
 EXACT_PX = 0.01
 """Pairs that agree so well without any prior were computed, not clicked: then the prior
-has no say."""
+is ignored."""
 OUTLIER_SIGMAS = 4.0
-"""Pairs nearer than this to where the lens has them were no gross errors."""
+"""Pairs within so many standard errors of where the lens puts them are no gross errors."""
 SIGMA_WORTH = 4
-"""How many residuals the expected error of a click outweighs in the foretold error."""
+"""How many residuals the expected error of a click counts for in the predicted error."""
 FLAT_SHARE = 1e-3
 """Points within this share of their extent of a line are on a line."""
 
@@ -68,8 +68,8 @@ class Resection:
     expected_error_px: float
     """Expected error over the surface (root mean square), from the errors of clicks."""
     k1: float | None = None
-    """What the pairs say of the lens's first radial term; the camera has it if they
-    decide that it is not 0. None: too few pairs, or the lens was known."""
+    """The first radial term of the lens, by the pairs; the camera has it if they show
+    that it is not 0. None: too few pairs, or a known lens."""
     k1_error: float | None = None
     """Its standard error."""
     warnings: tuple[str, ...]
@@ -82,7 +82,7 @@ class Resection:
         lens = ""
         if self.k1 is not None:
             lens = f" The lens has k1 {self.k1:.3f} ± {self.k1_error:.2g}"
-            lens += "." if self.camera.lens.k1 else ", too little to tell from 0."
+            lens += "." if self.camera.lens.k1 else ", which could be 0 as well."
         return (
             f"Solved {self.solved} from {n} pairs: they fit to {self.rms_px:.1f} px; "
             f"expect about {_plain_px(self.expected_error_px)} px over the surface.{lens}"
@@ -104,10 +104,10 @@ def solve_camera(
     """The camera that sees surface points at the given pixels.
 
     From 4 pairs the pose, from 6 also the focal length, from 8 also the principal
-    point and, if the prior knows of no lens, its first radial term, which is kept where the
-    pairs tell it from 0. Pose hypotheses come from triples and from all pairs (OpenCV), over several
-    focal lengths; they are refined robustly, and the one that explains the pairs best,
-    with gross outliers at a price, is refined by least squares (MINPACK).
+    point and, if the prior has an ideal lens, the first radial term, which is kept where the
+    pairs show that it is not 0. Pose hypotheses come from triples and from all pairs
+    (OpenCV), over several focal lengths; they are refined robustly, and the one that
+    explains the pairs best, with gross outliers at a price, is refined by least squares (MINPACK).
 
     Args:
         points_world: Points clicked on the surface, world axes, any unit.
@@ -115,17 +115,19 @@ def solve_camera(
         width: The photo's width in pixels.
         height: The photo's height in pixels.
         prior: Its K is what is expected before any pair (EXIF, or an earlier
-            calibration), its lens is kept, its pose is not used. Pass the same prior each time, not the
-            last solution: that would count the pairs twice. None: nothing is known.
+            calibration), its lens is kept, its pose is not used. Pass the same prior each
+            time, not the last solution: that would count the pairs twice. None: nothing
+            is known.
         focal_sigma: Relative standard error of the prior's focal length.
         click_sigma_px: Standard error of a click, each axis.
-        surface: Points over which the error is foretold, such as the mesh's vertices,
-            or some of them; None: the clicked points and a third farther around them.
+        surface: Points over which the error is predicted, such as the mesh's vertices,
+            or some of them; None: the clicked points, and the same points a third farther
+            from their centre.
         seed: Same seed, same camera.
 
     Raises:
-        InputError: if there are fewer than 4 different pairs, they are not finite, lie
-            on one line, or no camera sees them so.
+        InputError: if there are fewer than 4 different pairs, if they are not finite or lie
+            on one line, or if no camera sees them like this.
     """
     points = check_points(points_world, "The list of surface points")
     pixels = check_rows(pixels, 2, "The list of photo points")
@@ -156,8 +158,8 @@ def solve_camera(
         lens, pixels = prior.lens, prior.resized(width, height).undistort(pixels)
         if not np.isfinite(pixels).all():
             raise InputError(
-                "A photo point lies where the photo's lens distortion leaves nothing to "
-                "be seen; correct the distortion, or the point."
+                "A photo point lies where, by the photo's lens distortion, nothing can be "
+                "seen; correct the distortion, or the point."
             )
     pairs = _pairs((points - origin) / size, pixels, width, height, prior, focal_sigma)
     search = HypothesisSearch(pairs, n_free, width * height, click_sigma_px, seed)
@@ -311,7 +313,7 @@ def _with_lens(
 ) -> tuple[LensFit, np.ndarray]:
     """The same with a radial term, and the pairs that fit then.
 
-    With them are those that only the lens had bent away.
+    Among them are those that did not fit only because of the lens.
     """
     fit = fit_k1(model, pairs, sigma_px, inliers)
     near = (np.abs(fit.offsets_px) <= OUTLIER_SIGMAS * sigma_px).all(axis=1)
@@ -331,7 +333,7 @@ def _with_lens(
 
 
 def _is_lens(fit: LensFit, model: Models, pairs: Pairs, inliers: np.ndarray) -> bool:
-    """Whether the pairs tell the lens from an ideal one."""
+    """Whether the pairs show that the lens is not an ideal one."""
     ideal = pinhole_model.project(model, pairs.X, pairs.A)[0] - pairs.pixels
     is_exact, was_exact = (
         np.sqrt(np.mean(offsets[inliers] ** 2)) < EXACT_PX
@@ -352,14 +354,14 @@ def _expected_errors(
 ) -> tuple[float, float]:
     """Root mean square error over ``where`` in pixels; relative error of the focal length.
 
-    To first order: clicks err by ``sigma_px``, or what the residuals say as far as they
-    can, and what was not solved for errs as its prior does and drags the rest along.
+    To first order: clicks err by ``sigma_px``, or as the residuals show where there
+    are enough, and what was not solved for errs as its prior does and shifts the rest.
     """
     unit, A = pairs.unit_px, pairs.A
     pixels, J = pinhole_model.project_with_derivatives(model, pairs.X[inliers], A, unit)
     squares = float(((pixels[0] - pairs.pixels[inliers]) ** 2).sum())
     left_over = max(2 * int(inliers.sum()) - n_free, 0)
-    # The expected variance counts as much as so many residuals (inverse gamma).
+    # The expected variance is worth SIGMA_WORTH residuals (inverse gamma).
     sigma_px = np.sqrt(
         (SIGMA_WORTH * sigma_px**2 + squares) / (SIGMA_WORTH + left_over)
     )
@@ -367,7 +369,7 @@ def _expected_errors(
     weights = pairs.prior_weights
     fitted, kept = J[:, :n_free], J[:, n_free:]
     normal = fitted.T @ fitted + np.diag(weights[:n_free])
-    # A direction without any information errs by a photo's side or a radian.
+    # A direction about which nothing is known errs by a photo's side or a radian.
     covariance = np.zeros((pinhole_model.N_PARAMETERS, pinhole_model.N_PARAMETERS))
     inverse = np.linalg.inv(normal + 1e-9 * np.diag(np.diag(normal)) + np.eye(n_free))
     covariance[:n_free, :n_free] = inverse
@@ -387,7 +389,7 @@ def _n_different(
     if len(points) == 0:
         return 0
     extent = float(np.ptp(points, axis=0).max())
-    # Coordinates far from the origin cannot tell points closer than their last digit.
+    # Far from the origin, coordinates cannot resolve less than their last digit.
     extent = max(extent, 1e-9 * float(np.abs(points).max()))
     near_px = 1e-6 * max(width, height)
     count = 0
@@ -438,7 +440,9 @@ def _warnings(
             f"worst, pair {int(np.argmax(residuals)) + 1}."
         )
     if n == N_POSE:
-        sentences.append("Four pairs leave nothing to check them by: add a fifth.")
+        sentences.append(
+            "With four pairs there is nothing to check them by: add a fifth."
+        )
     if twin:
         sentences.append(
             "Two different cameras explain these pairs about equally well: add a pair at "
@@ -446,11 +450,11 @@ def _warnings(
         )
     if n_free == 6 and prior is None:
         sentences.append(
-            f"The focal length is a guess: give it, or click at least {N_FOCAL} pairs."
+            f"The focal length is a guess: enter it, or click at least {N_FOCAL} pairs."
         )
     elif n_free > 6 and focal_error > 0.15:
         sentences.append(
-            f"The pairs hardly tell the focal length (±{100 * focal_error:.0f} %): add "
+            f"The pairs hardly determine the focal length (±{100 * focal_error:.0f} %): add "
             "pairs that are nearer and farther."
         )
     return tuple(sentences)

@@ -261,7 +261,7 @@ def test_a_flat_target_seen_face_on_keeps_the_expected_focal_length():
         ratio = solved.camera.focal_px / true.focal_px
         assert 0.5 < ratio < 2.0, f"focal length {ratio:.2f} of the true one"
         assert error_px(solved.camera, true, points) < 3.0
-        said = any("hardly tell the focal length" in w for w in solved.warnings)
+        said = any("hardly determine the focal length" in w for w in solved.warnings)
         assert said == (not exif), solved.warnings
 
 
