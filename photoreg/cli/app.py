@@ -1,7 +1,7 @@
-"""`photoreg app`: starts the browser app, which an entry point names.
+"""`photoreg app`: starts the browser app that an entry point names.
 
-No module of photoreg imports the app. Whoever installs one names it in the group
-`photoreg.apps`, with what serves it.
+No module of photoreg imports the app. A package that has one registers the function
+that serves it in the entry-point group `photoreg.apps`.
 """
 
 import importlib.metadata
@@ -40,16 +40,16 @@ def app_command(
         files: A mesh and its photos; or a folder that `photoreg synthesize` made, or one of
             an object that `photoreg batch` made.
         cameras: Cameras of the photos, a photoreg camera file.
-        project: Folder that keeps the work: opened as it was left where it is a project,
-            made where not. Without it, a new one in your data folder.
-        host: Address to listen on; the default lets only this machine in. Any other asks
-            for a token.
+        project: Folder in which the work is saved: an existing project is opened as it was
+            left, otherwise one is made. Without it, a new one in your data folder.
+        host: Address to listen on; by default only this machine can connect. Any other
+            address requires a token.
         port: Port to listen on; the next free one is taken when it is busy.
-        token: What lets a browser in, at least 16 characters; better given by the
+        token: Password for the browser, at least 16 characters; better set in the
             environment variable PHOTOREG_TOKEN, which other users cannot see. Without
             it, one is made where it is needed.
-        address: Where people reach it through a proxy, https://photos.example.org; see
-            SECURITY.md.
+        address: The address by which people reach it through a proxy, such as
+            https://photos.example.org; see SECURITY.md.
         browser: Open the page in the default browser, where there is one.
     """
     return find_app()(
@@ -65,7 +65,7 @@ def app_command(
 
 
 def find_app() -> Callable[..., int]:
-    """What serves the app until it is interrupted, and returns the exit status.
+    """The function that serves the app until it is interrupted; it returns the exit status.
 
     Raises:
         InputError: if no app is installed, or another module has its name.
@@ -87,6 +87,6 @@ def find_app() -> Callable[..., int]:
             raise
         raise InputError(
             f"The browser app could not be started: {error}. Another module named "
-            f"{package} stands before it on Python's path; look for it in the folders "
+            f"{package} comes before it on Python's path; look for it in the folders "
             "that PYTHONPATH names."
         ) from error

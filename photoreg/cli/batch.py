@@ -22,7 +22,7 @@ from photoreg.texture.config import TextureConfig
 from photoreg.words import in_words
 
 MOST_NAMED = 10
-"""Objects that failed are named up to so many; the page has all."""
+"""How many failed objects are named; the page lists all."""
 
 
 def make_batch_command(preset: RegistrationConfig) -> Callable[..., int]:
@@ -45,17 +45,17 @@ def make_batch_command(preset: RegistrationConfig) -> Callable[..., int]:
     ) -> int:
         """Refine, texture and report many objects, each as `photoreg refine` would.
 
-        The same command goes on where it was: what is done, by content and settings, is
-        not done again. Ctrl-C ends it. Needs the extra `cluster`.
+        The same command continues where it stopped: what is done already, with the same
+        content and settings, is not done again. Ctrl-C ends it. Needs the extra `cluster`.
 
         Args:
-            collection: A folder with a folder an object, in which mesh, photos and rough
-                cameras are told by their suffixes; or a table (.csv) with columns
-                object, mesh, photos (parted by semicolons, or a folder), cameras, and as
-                you like preset, seed, distortion, lock, lock_focal, ..., share_focal,
+            collection: A folder with one folder for each object, in which mesh, photos and
+                rough cameras are recognised by their suffixes; or a table (.csv) with columns
+                object, mesh, photos (separated by semicolons, or a folder), cameras, and
+                optionally preset, seed, distortion, lock, lock_focal, ..., share_focal,
                 cropped.
-            out: Folder for the results: a folder an object, summary.csv, and index.html,
-                the page of what needs a look.
+            out: Folder for the results: one folder for each object, summary.csv, and
+                index.html, which lists what needs a look.
             preset: What the options of the refinement default to; see `photoreg refine`.
             model: Kind of the textured model; none: no texture is made.
             picture: The texture as PNG, or as JPEG, which is several times smaller.
@@ -101,7 +101,7 @@ def make_batch_command(preset: RegistrationConfig) -> Callable[..., int]:
 
 
 def _check_apart(collection: Path, out: Path) -> None:
-    """Refuses results among the objects: they would be taken for some."""
+    """Refuses results among the objects: they would be mistaken for objects."""
     inputs = Path(os.path.realpath(collection))
     folder = inputs if inputs.is_dir() else inputs.parent
     results = Path(os.path.realpath(out))
@@ -130,7 +130,7 @@ def _update(
 
 
 def _tell(event: BatchFinished) -> int:
-    """Says what came of it; returns the exit status."""
+    """Reports the outcome; returns the exit status."""
     now = event.progress
     by_verdict: dict[str, int] = {}
     for row in event.rows:
@@ -144,7 +144,7 @@ def _tell(event: BatchFinished) -> int:
     )
     if now.lost:
         what = "attempt was" if now.lost == 1 else "attempts were"
-        log.print(f"{now.lost} {what} lost with their workers and made again.")
+        log.print(f"{now.lost} {what} lost with their workers and repeated.")
     wrong = [r for r in event.rows if r.status in ("failed", "lost", "refused")]
     for row in wrong[:MOST_NAMED]:
         log.print(_in_words(row), markup=False)

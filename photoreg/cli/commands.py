@@ -60,8 +60,8 @@ def commands(argv: Sequence[str] = ()) -> dict[str, Callable[..., int]]:
 def _preset(argv: Sequence[str]) -> PresetName:
     """The preset that argv names.
 
-    It decides other options' defaults, so it is looked for before tyro reads the rest
-    and refuses what is not a preset.
+    It decides the defaults of other options, so it is looked up before tyro parses the
+    rest and refuses what is not a preset.
     """
     pairs = set(itertools.pairwise(argv))
     for name in get_args(PresetName):
@@ -183,7 +183,7 @@ def reproduce_command(
 def run(argv: Sequence[str]) -> int:
     """Runs the command that ``argv`` names; returns the exit status.
 
-    tyro itself ends with status 2 and its message where the words are off.
+    Where arguments are invalid, tyro itself prints a message and exits with status 2.
     """
     try:
         with noting_inputs():
@@ -202,7 +202,7 @@ def run(argv: Sequence[str]) -> int:
         log.print("Stopped.")
         return 1
     except BrokenPipeError:
-        # Whoever read the output has seen enough of it: photoreg ... | head -1.
+        # The reader of the output has closed it: photoreg ... | head -1.
         _drop_output()
         return 1
     except OSError as error:

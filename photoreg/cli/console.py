@@ -15,7 +15,7 @@ TOLD = rich.progress.TextColumn("{task.fields[told]}")
 
 
 def print_notes(notes: Iterable[str]) -> None:
-    """Says what was left out of a file, or could only be guessed."""
+    """Prints what was left out of a file, or could only be guessed."""
     for note in notes:
         log.print(f"Note: {note}", markup=False)
 
@@ -27,10 +27,10 @@ def progress_bar(
         rich.progress.TimeRemainingColumn(),
     ),
 ) -> rich.progress.Progress:
-    """A bar that is gone when it ends.
+    """A bar that disappears when it ends.
 
     Args:
-        columns: What stands after the bar.
+        columns: What comes after the bar.
     """
     return rich.progress.Progress(
         rich.progress.TextColumn("{task.description}"),

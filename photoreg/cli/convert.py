@@ -35,7 +35,7 @@ def convert_command(
     overwrite: bool = False,
     json: bool = False,
 ) -> int:
-    """Turn the cameras of one program into those of another; say what is lost.
+    """Convert the cameras of one program for another, and say what is lost.
 
     The format is recognised by suffix or contents: photoreg's JSON, a COLMAP folder
     (binary, or text), nerfstudio's transforms.json, MeshLab's .mlp, a texrecon folder of
@@ -96,7 +96,7 @@ def convert_command(
 
 
 def _formats_in_words() -> str:
-    """What each format keeps and loses, a line each, as the Export tab says it."""
+    """What each format keeps and loses, one line each, as in the Export tab."""
     return "\n".join(
         f"    - {name}: {known.in_words}" for name, known in CAMERA_FORMATS.items()
     )

@@ -73,11 +73,12 @@ def place_command(
         out: Where the rough cameras go (.json).
         box: A box around the object in a photo, by file name: left, top, width and height
             in pixels. Repeat it for another photo.
-        focal: The focal length of a photo in pixels, by file name, where EXIF does not know
+        focal: The focal length of a photo in pixels, by file name, where EXIF does not give
             it. Repeat it for another photo.
         candidates: A folder for pictures of the most likely poses of each photo, up to
             three, with the mesh drawn over the photo.
-        seed: Of what decides where outlines and colours do not. Same seed, same cameras.
+        seed: Of the search that decides where outlines and colours do not. Same seed, same
+            cameras.
         overwrite: Also replace files that photoreg did not make.
         json: Print how sure each camera is as JSON on standard output.
     """
@@ -140,10 +141,10 @@ def place_command(
 def cameras_of_unplaced(
     mesh: Path, photos: Sequence[Path], boxes: Boxes, seed: int
 ) -> tuple[Mesh, list[Photo], list[Camera]] | None:
-    """Mesh and photos from files, and the most likely cameras; what is unsure is told.
+    """Mesh and photos from files, and the most likely cameras; prints what is unsure.
 
     Returns:
-        None if Ctrl-C came.
+        None after Ctrl-C.
 
     Raises:
         InputError: if the camera of a photo cannot be found.
@@ -176,7 +177,7 @@ def _watch(
     focals_px: dict[str, float],
     seed: int,
 ) -> Placed | None:
-    """Finds cameras under a progress bar; None if Ctrl-C came."""
+    """Finds cameras under a progress bar; None after Ctrl-C."""
     hints: dict[str, Box] = {nfc(name): (x, y, w, h) for name, x, y, w, h in boxes}
     events = find_cameras(mesh, photos, boxes=hints, focals_px=focals_px, seed=seed)
     with progress_bar() as bar, asked_to_stop() as stop:

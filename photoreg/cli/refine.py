@@ -83,7 +83,7 @@ def make_refine_command(preset: RegistrationConfig) -> Callable[..., int]:
                 length, and one lens. No names: all photos. Repeat it for another camera.
             cropped: Photos of which a part was cut off after they were taken, so that
                 their principal points may be far off the middle. Repeat it for another;
-                those whose EXIF tells it are known.
+                those whose EXIF shows it are known.
             overwrite: Also replace a file that photoreg did not make.
             json: Print the figures as JSON on standard output.
             config: How to refine.
@@ -95,8 +95,8 @@ def make_refine_command(preset: RegistrationConfig) -> Callable[..., int]:
             locks = (lock, lock_focal, lock_principal_point, lock_pose, lock_distortion)
             if only or any(locks):
                 raise InputError(
-                    "Without --cameras nothing is known that --only or --lock could "
-                    "keep; give the cameras that are right."
+                    "Without --cameras there is nothing that --only or --lock could keep; "
+                    "give the cameras that are right."
                 )
             found = cameras_of_unplaced(mesh, photos, box, config.seed)
             if found is None:
@@ -162,11 +162,11 @@ def make_refine_command(preset: RegistrationConfig) -> Callable[..., int]:
 
 
 def _cropped_by_exif(photos: Sequence[Photo], named: Sequence[str]) -> list[str]:
-    """Names of photos that EXIF shows to be cropped and nobody named; each is told."""
+    """Names of photos that EXIF shows to be cropped and nobody named; prints each."""
     names = cropped_by_exif(photos, named)
     for name in names:
         log.print(
-            f"Note: {name} was cropped, as its EXIF tells; its principal point may be far "
+            f"Note: {name} was cropped, as its EXIF shows; its principal point may be far "
             "off the middle.",
             markup=False,
         )
@@ -195,13 +195,13 @@ def _all_but(
 
 
 def _save_somewhere(out: Path, file: CameraFile, overwrite: bool) -> Path:
-    """Writes cameras that took long to find; returns where to.
+    """Writes cameras that took long to find; returns the path.
 
-    If they cannot be written to ``out`` any more, because somebody else's file is there
-    by now or the folder is gone, they go beside it under a free name, or elsewhere.
+    If they can no longer be written to ``out``, because another file is there by now or
+    the folder is gone, they go beside it under a free name, or elsewhere.
 
     Raises:
-        OutputError: if they can be written nowhere.
+        OutputError: if they cannot be written anywhere.
     """
     try:
         save_cameras(out, file, overwrite)
@@ -230,7 +230,7 @@ def _watch(
     config: RegistrationConfig,
     freedom: Freedom,
 ) -> tuple[Progress | Finished, bool]:
-    """Runs a refinement under a progress bar; its last event, and whether Ctrl-C came."""
+    """Runs a refinement under a progress bar; its last event, and whether it was stopped."""
     with progress_bar() as bar, asked_to_stop() as stop:
         task = bar.add_task("getting ready", total=1.0, told="")
         event = None

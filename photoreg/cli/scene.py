@@ -1,4 +1,4 @@
-"""The scene that a command is given: mesh, photos and cameras, and what is noted of them."""
+"""The scene that a command is given: mesh, photos and cameras, and the notes about them."""
 
 from collections.abc import Sequence
 from pathlib import Path

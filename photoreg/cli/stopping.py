@@ -1,4 +1,4 @@
-"""Ctrl-C: what it ends at once, and what it asks to stop."""
+"""Ctrl-C: what it ends at once, and what it only asks to stop."""
 
 import contextlib
 import os
@@ -15,7 +15,7 @@ def ctrl_c_ends_at_once() -> Iterator[None]:
     at its very end, though it was caught.
     """
     if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        yield  # A shell starts background programs deaf to Ctrl-C.
+        yield  # A shell starts background programs so that they ignore Ctrl-C.
         return
 
     def end(*_: object) -> None:

@@ -129,6 +129,6 @@ def _left_out(photos: Sequence[Photo], textured: TexturedMesh) -> str:
     if not parts:
         return ""
     return (
-        "Not painted, because other photos show something else there, as where something "
-        f"stands before the object, of what each photo sees: {', '.join(parts)}."
+        "Not painted, because other photos show something else there, for instance where "
+        f"something is in front of the object: {', '.join(parts)} of what each photo sees."
     )

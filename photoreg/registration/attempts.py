@@ -1,4 +1,4 @@
-"""More attempts where the first answer does not convince: a wider search, found cameras."""
+"""Further attempts where the first answer does not convince."""
 
 import dataclasses
 from collections.abc import Generator, Sequence
@@ -32,9 +32,9 @@ def refine_in_attempts(
     The second attempt begins at the same cameras and searches as
     ``RegistrationConfig.searching_wider`` has it. Its answer counts where nothing speaks
     against it. Where it does not convince either, or the cameras given see nothing of the
-    surface, a last attempt begins at cameras that are found by the object's outline,
-    if they are found beyond doubt. Until one counts, every event holds the cameras of
-    the first.
+    surface, a last attempt begins at cameras found by the object's outline, if there is
+    no doubt about them. Until an attempt counts, every event holds the cameras of the
+    first.
 
     Args:
         mesh: The surface.
@@ -151,7 +151,7 @@ def _attempt(
         config: See ``refine``.
         freedom: See ``refine``.
         before: How the attempt before ended, whose cameras are the best so far.
-        words: What it is called, then.
+        words: What to call this attempt.
     """
     for event in refine(mesh, photos, cameras, config, freedom):
         if isinstance(event, Finished):

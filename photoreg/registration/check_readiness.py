@@ -1,4 +1,4 @@
-"""Whether photos and rough cameras can be refined at all, found out beforehand."""
+"""Whether photos and rough cameras can be refined at all, checked beforehand."""
 
 import itertools
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ FINE_PX, COARSE_PX = 1.0, 6.0
 """Texture is what lies between these two blurs, in pixels of a photo reduced to 512."""
 
 MIN_CONTRAST = 1.0
-"""Least texture in grey levels of 255 by which photos can be told to agree.
+"""Least texture, in grey levels of 255, with which photos can be seen to agree.
 
 A made rock in flat light, by its colours alone, from 5.4 px off: without any texture the
 photos' noise measures 0.5; at 0.8 the cameras stay where they were, at 1.2 they come to

@@ -1,4 +1,4 @@
-"""Where a refinement stands, to be kept and gone on from, to the same answer."""
+"""The state of a refinement, saved so that it can be resumed to the same answer."""
 
 import base64
 import dataclasses
@@ -18,14 +18,14 @@ from photoreg.parameters.freedom import Freedom
 from photoreg.search.genetic import Generation
 
 MAGIC = b"photoreg checkpoint 1 "
-"""What a kept checkpoint begins with; a digest of the rest follows."""
+"""What a saved checkpoint begins with; a digest of the rest follows."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Checkpoint:
     """A refinement after one generation, or in the polish.
 
-    Of the polish only its beginning is kept: it takes a second or two, and begun again
+    Of the polish only its beginning is saved: it takes a second or two, and repeated it
     ends in the same cameras.
     """
 
@@ -146,7 +146,7 @@ def problem_digest(
 ) -> str:
     """A digest of all that decides a refinement's answer.
 
-    Of large arrays it takes every so many numbers: what it guards against is a mistake.
+    Large arrays are sampled: it guards against mistakes, not against forgery.
     """
     digest = hashlib.sha256(repr((config, freedom)).encode())
     for name, value in _changed_new_settings(config):
@@ -162,7 +162,7 @@ def problem_digest(
             _add(digest, array)
         if not camera.lens.is_ideal:
             digest.update(repr(camera.lens).encode())
-    # Of refinements that know no lenses the digest is what it always was.
+    # Without lenses the digest is the same as before there were any.
     for i, held in enumerate(freedom.held):
         if held.lens:
             digest.update(f"lens {i} held".encode())
@@ -174,8 +174,8 @@ def problem_digest(
 def _changed_new_settings(config: object, prefix: str = "") -> list[tuple[str, object]]:
     """Names and values of settings that ``repr`` leaves out and that were changed.
 
-    A setting that is new must not turn away searches that were kept without it: as
-    long as it has its default, it is as if it were not there.
+    A new setting must not invalidate searches that were saved without it: as long as it
+    has its default, it is left out.
     """
     changed = []
     if dataclasses.is_dataclass(config):

@@ -1,4 +1,4 @@
-"""What a refinement tells while it runs, and how it ended."""
+"""What a refinement reports while it runs, and how it ended."""
 
 import dataclasses
 from typing import Literal
@@ -45,7 +45,7 @@ class Progress:
     step: str
     """The same in plain words."""
     fraction: float
-    """Share of the whole run's budget spent, in [0, 1]. Not a promise of time left."""
+    """Share of the whole run's budget spent, in [0, 1]. It does not predict the time left."""
     generation: int
     """Generations of the search so far, over all restarts."""
     evaluations: int
@@ -63,17 +63,17 @@ class Progress:
     none."""
     begins: str | None = None
     """What begins with this event, in plain words, for a mark in a curve: a restart of
-    the search, a level of the polish. None: it goes on as it was."""
+    the search, a level of the polish. None: nothing new begins."""
     expected_error_px: float | None = None
-    """Expected projection error of the best in pixels, as the level of the polish that
-    ended last tells; None before."""
+    """Expected projection error of the best in pixels, by the last finished level of the
+    polish; None before."""
     population: Population | None = None
-    """The living individuals; None outside the search. Held, not copied: leave it out
-    of what is sent to another process (``dataclasses.replace``) where nobody asks."""
+    """The living individuals; None outside the search. Not copied: leave it out of
+    what is sent to another process (``dataclasses.replace``) unless it is needed."""
     checkpoint: Checkpoint | None = None
-    """What ``refine`` needs to go on from here; None before the search has begun, and
-    where more than four photos are searched for one after the other: that begins anew, to
-    the same answer. Made of the same arrays as ``population``."""
+    """What ``refine`` needs to resume from here; None before the search has begun, and
+    where more than four photos are searched for one after the other: that starts over, and
+    ends at the same answer. Made of the same arrays as ``population``."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)

@@ -1,7 +1,7 @@
-"""Cameras found without a click: placed, and refined a little where that must decide.
+"""Cameras found without a click: placed, and refined a little where that has to decide.
 
 Outlines and colours often leave no doubt. Where they do, the most likely poses are refined
-in short, and the verdict says whether they are right.
+briefly, and the verdict decides whether they are right.
 """
 
 import dataclasses
@@ -18,7 +18,7 @@ from photoreg.registration.events import Finished
 from photoreg.registration.refinement import refine
 
 PLACING_SHARE = 0.6
-"""Share of the progress that placing is, where poses are then judged."""
+"""Share of the progress bar for placing, where poses are judged afterwards."""
 JUDGED_PX = 640
 """Photos are reduced to this for it: right or wrong is a matter of many pixels."""
 

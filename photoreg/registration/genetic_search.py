@@ -72,7 +72,7 @@ class GeneticSearch:
             self.agreement.require(start)
 
     def go_on_from(self, checkpoint: Checkpoint) -> tuple[Camera, ...]:
-        """Makes ``generations`` go on from there; returns the best cameras until then.
+        """Makes ``generations`` resume from there; returns the best cameras until then.
 
         Raises:
             InputError: if the checkpoint is of another search.

@@ -1,8 +1,8 @@
 """The search among many photos: two of them first, then one after the other.
 
-An individual of all cameras at once would have nine genes a photo, and its search would
+An individual of all cameras at once would have nine genes per photo, and its search would
 take many more generations. Each photo shares most of its surface with few others, so it
-is searched for by itself, against those of them that are found already and held.
+is searched for alone, against those of them that are already found and held.
 """
 
 import dataclasses
@@ -74,7 +74,7 @@ class GrowingSearch:
         pairs: Sequence[Pair],
         scores: Float[np.ndarray, "n n"],
     ) -> None:
-        """``pairs`` says who is compared with whom, ``scores`` how much that tells."""
+        """``pairs`` says which photos are compared, ``scores`` how informative that is."""
         self._mesh, self._photos, self._start = mesh, photos, tuple(start)
         self._config, self._freedom = config, freedom
         held = [i for i in range(len(photos)) if freedom.of(i).everything]
@@ -121,7 +121,7 @@ class GrowingSearch:
                 evaluations += last.evaluations
 
     def _freedom_of(self, stage: Stage) -> Freedom:
-        """Who is found is held, and so is a focal length that others share."""
+        """What is found is held, and so is a focal length that others share."""
         searched = []
         for i in stage.searched:
             own = self._freedom.of(i)
@@ -140,9 +140,9 @@ def stages_of(
 ) -> tuple[Stage, ...]:
     """In which order photos are searched for.
 
-    From the held photos on, or else from the two that tell most of each other, always the
-    photo that those found tell most of. Where no pair leads on, two others begin anew. A
-    photo without pairs is left out.
+    Starting from the held photos, or else from the two that say most about each other, always
+    the photo about which those already found say most. Where no pair leads on, two others
+    start anew. A photo without pairs is left out.
     """
     n = len(scores)
     told = np.zeros((n, n))

@@ -61,12 +61,12 @@ FIRST_POLISH_SHARE = 0.9
 """Share of the progress bar at which the first polish ends; a second is rare."""
 
 MOST_PIXELS = 40_000_000
-"""Of all photos together in the polish, which keeps some sixty bytes a pixel: twelve
-photos of 2048x1536. Of more photos fewer pixels each are looked at."""
+"""Of all photos together in the polish, which needs some sixty bytes per pixel: twelve
+photos of 2048x1536. More photos are reduced further."""
 
 ONE_PHOTO_SEARCHED = (
     "There is no other photo to compare colours with, so the search went by how much the "
-    "colours tell of the surface's shape; the paper's method wants two photos or more."
+    "colours show of the surface's shape; the paper's method needs two photos or more."
 )
 
 SEARCH_SHARE = 0.3
@@ -103,7 +103,7 @@ def refine(
             to move, if ``resume`` is of another refinement, or if there is nothing to
             compare: see ``Readiness.refusals``.
         RefinementError: if no camera sees the surface, no two of several see a common
-            part, or the photos agree in another world only.
+            part, or the photos agree only in another world.
     """
     if len(photos) == 0:
         raise InputError("A refinement needs at least one photo, but there is none.")
@@ -172,7 +172,7 @@ class _Run:
         """The photos that take part, as small as the polish wants them."""
 
     def go_on_from(self, checkpoint: Checkpoint) -> None:
-        """Makes ``events`` go on from there."""
+        """Makes ``events`` resume from there."""
         checkpoint.require(self.problem)
         self.resume = checkpoint
         self.began -= checkpoint.elapsed_s
@@ -186,7 +186,7 @@ class _Run:
         warnings = list(self.warnings)
         search = yield from self._search_and_polish()
         if failed := self._failed():
-            # Anew, so that the others end as they would have without the failed ones.
+            # Over again, so that the others end as they would have without the failed ones.
             self.warnings = warnings
             self._leave_out(failed)
             search = yield from self._search_and_polish()
@@ -221,7 +221,7 @@ class _Run:
 
     @property
     def _names(self) -> tuple[str, ...]:
-        """What the photos that take part are called."""
+        """Names of the photos that take part."""
         return tuple(photo.name for photo in self.photos)
 
     @property
@@ -230,10 +230,10 @@ class _Run:
         return self.given_freedom.subset(self.active)
 
     def _leave_out_the_blind(self) -> None:
-        """Finds who sees the surface, and warns of who does not.
+        """Finds which photos see the surface, and warns about those that do not.
 
         Raises:
-            RefinementError: if nobody does, or in another world only.
+            RefinementError: if none does, or only in another world.
         """
         why = why_of_another_world(self.mesh, self.given_photos, self.begun)
         if why is not None:
@@ -267,8 +267,8 @@ class _Run:
     def _leave_out_the_settled(self) -> None:
         """Of many photos, those whose cameras are held only help those that are not.
 
-        So held photos are not compared with each other, and those that nobody else is
-        compared with take no part.
+        So held photos are not compared with each other, and those with which none is compared
+        take no part.
         """
         if len(self.active) <= ALL_UP_TO:
             return
@@ -284,7 +284,7 @@ class _Run:
         self.best = self.start
 
     def _failed(self) -> tuple[int, ...]:
-        """Those of many photos that do not fit the rest, if the rest are the most."""
+        """Those of many photos that do not fit the rest, if the rest are the majority."""
         if len(self.active) <= ALL_UP_TO or self.judged is None:
             return ()
         failed = failing_photos(self.judged)
@@ -293,16 +293,16 @@ class _Run:
         return failed if moves and len(failed) < len(rest) else ()
 
     def _leave_out(self, failed: Sequence[int]) -> None:
-        """Goes on without these, and says so."""
+        """Continues without these, and says so."""
         names = [self._names[i] for i in failed]
         self.warnings.append(
             f"{names[0]} did not fit the others, neither in colour nor by its outline, "
-            "and was left out; its camera is as it came. Align it more closely, or take "
-            "it away if it shows something else."
+            "and was left out; its camera is unchanged. Align it more closely, or remove "
+            "it if it shows something else."
             if len(names) == 1
             else f"{listed(names)} did not fit the others, neither in colour nor by "
-            "their outlines, and were left out; their cameras are as they came. Align "
-            "them more closely, or take them away if they show something else."
+            "their outlines, and were left out; their cameras are unchanged. Align "
+            "them more closely, or remove them if they show something else."
         )
         self.uncertainty, self.mesh_error, self.missed_px = None, None, ()
         self.missed_centre_px, self.far_centres = (), []
@@ -317,7 +317,7 @@ class _Run:
 
         Raises:
             InputError: if a photo is masked nearly all over the surface, shows neither
-                texture nor edges, or is another one again.
+                texture nor edges, or is the same as another.
         """
         for refusal in check_readiness(self.mesh, self.photos, self.start).refusals:
             raise InputError(refusal)
@@ -343,7 +343,7 @@ class _Run:
         )
 
     def _growing_search(self) -> GrowingSearch:
-        # It keeps no checkpoint: begun again it ends in the same cameras.
+        # It has no checkpoint: started over it ends in the same cameras.
         self.resume, self.generations, self.evaluations = None, 0, 0
         scores = pair_scores(self.mesh, self.photos, self.start)
         return GrowingSearch(
@@ -408,14 +408,14 @@ class _Run:
             self.reason = "All generations of the search are done."
 
     def _polish(self) -> Iterator[Progress]:
-        """Polishes from where search or start agree better; from both when in doubt."""
+        """Polishes from where search or start agree better; from both if in doubt."""
         min_cosine = self.config.polish.min_cosine
         side = polish_side_px(self.photos, self.config.polish.max_side_px)
-        # Once for all levels: they never look at more pixels.
+        # Once for all levels: none looks at more pixels.
         self.reduced = tuple(photo.resized(side) for photo in self.photos)
         # Where the light moved, the search's colours mislead it, by 60 px once; where
         # the start is far off, only the search is near. What the polish will compare
-        # tells which.
+        # decides which.
         ways = {"start": self.start}
         if self.best != self.start:
             ways["search"] = self.best
@@ -457,7 +457,7 @@ class _Run:
         self.warnings += answer.warnings
         self.reason += " The polish is done."
         if self._is_no_better(answer, judged, fits["start"]):
-            # How sure the polish was says nothing of the start.
+            # How sure the polish was says nothing about the start.
             expected_error_px = None
         else:
             self.uncertainty = estimate_uncertainty(self.mesh, answer, self._names)
@@ -482,10 +482,10 @@ class _Run:
         """Whether the answer is no better than the start, which is then kept.
 
         By the polish's own measure; and by what the verdict measures where the answer
-        does not convince: the polish's falls at wrong ends too.
+        does not convince: the polish's own falls at wrong ends too.
         """
         assert step.disagreement is not None
-        # What began at the start has been asked already, by the polish.
+        # For what began at the start the polish has answered that already.
         if step.start_disagreement is start or is_no_worse(
             self.mesh,
             self.reduced,
@@ -534,7 +534,7 @@ class _Run:
     def _polish_from(
         self, cameras: tuple[Camera, ...], fit: Disagreement, answer: PolishStep | None
     ) -> Iterator[tuple[PolishStep, Progress]]:
-        """One polish; a second one keeps showing the ``answer`` of the first."""
+        """One polish; during a second one, events keep the ``answer`` of the first."""
         first, last = SEARCH_SHARE, FIRST_POLISH_SHARE
         error_px = None
         if answer is not None:
@@ -673,7 +673,7 @@ class _Run:
     def _progress(
         self, phase: Phase, step: str, fraction: float, best: float, median: float
     ) -> Progress:
-        # Without the photos that failed all begins anew.
+        # Without the photos that failed, everything starts over.
         self.fraction = max(self.fraction, fraction)
         return Progress(
             phase=phase,
@@ -694,7 +694,7 @@ def polish_side_px(photos: Sequence[Photo], max_side_px: int) -> int:
 
     Args:
         photos: All of them.
-        max_side_px: At most so much.
+        max_side_px: The largest it may be.
     """
     side = max_side_px
     while True:
@@ -734,5 +734,5 @@ def border_warnings(
     )
     return far_centres, [
         f"The answer lies on the border of the search box ({genes}): the true cameras "
-        "may lie outside. Refine again from here, or choose a wider box.",
+        "may lie outside it. Refine again from here, or choose a wider box.",
     ]

@@ -50,8 +50,8 @@ def load_scene(
         mesh: The mesh's file.
         photos: The photos' files.
         cameras: The cameras, in any format that is read.
-        has_textures: Whether the mesh's own texture may be among the photos: such a one,
-            without a camera, is left out.
+        has_textures: Whether the mesh's own texture may be among the photos: it has no
+            camera and is left out.
 
     Raises:
         InputError: if there is no photo, or a file cannot be used; one sentence says why.

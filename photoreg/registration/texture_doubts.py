@@ -1,4 +1,4 @@
-"""What speaks against a texture: cameras of another world, unconvincing ones, little seen."""
+"""Doubts about a texture: cameras of another world, unconvincing ones, little seen."""
 
 from collections.abc import Iterator, Sequence
 
@@ -18,13 +18,13 @@ from photoreg.registration.world import (
 from photoreg.texture.bake import TexturedMesh
 
 LITTLE_SEEN = 0.1
-"""A texture that covers less of the surface is told as what may be a fault."""
+"""A texture that covers less of the surface than this is reported as a possible fault."""
 
 
 def check_cameras_of_texture(
     mesh: Mesh, photos: Sequence[Photo], cameras: Sequence[Camera]
 ) -> Verdict:
-    """Tells how far cameras are to be believed before photos are laid on with them.
+    """How far cameras can be trusted, before photos are laid on with them.
 
     Raises:
         InputError: if they are of another world than the mesh, with what is wrong.
@@ -44,13 +44,13 @@ def doubts_about_texture(
     cameras: Sequence[Camera],
     verdict: Verdict,
 ) -> Iterator[str]:
-    """What a person should know before the texture is used, a sentence each."""
+    """What the user should know before using the texture, a sentence each."""
     if not verdict.is_credible:
         yield verdict.sentence
     if textured.seen_share < LITTLE_SEEN:
         yield (
             "Little of the surface is seen. If the photos show more of it, cameras and "
-            "mesh are not of one world: check the axes, the units and the origin of both."
+            "mesh are not in the same world: check the axes, units and origin of both."
         )
     shares = zip(photos, cameras, textured.seen_share_by_photo, strict=True)
     for photo, camera, share in shares:

@@ -25,7 +25,7 @@ OUTLINE_HOLDS = 0.4
 Of made scenes at 1,024 px, the worse outline of cameras within 2 px had at most 0.35 before
 clutter, 0.29 with a rough scan, 0.12 before plain surroundings, and 0.52 behind an occluder.
 Of cameras that had slid over the surface together by 8 px, with colours that agreed still,
-it had 0.46; where the colours told them, 0.16 to 0.48."""
+it had 0.46; where the colours revealed them, 0.16 to 0.48."""
 
 SHADING_EXPLAINS = 0.12
 """Least share of one photo's detail that the surface's shape explains where a camera is
@@ -51,12 +51,12 @@ convincing where the scan is what is wrong: a texture is blurred by as much."""
 
 @dataclasses.dataclass(frozen=True)
 class Verdict:
-    """How far an answer is to be believed.
+    """How far an answer can be trusted.
 
     Over 96 refinements of made scenes and of nine sets with known cameras (the bench
     ``verdicts``): of the 54 that ended within 2 px none was called unconvincing, 42 were
     convincing and 12 plausible. The 42 that ended 41 to 360 px off, from starts too far
-    for the preset, were all unconvincing. Ends between are rarer and harder to tell: two
+    for the preset, were all unconvincing. Ends between are rarer and harder to judge: two
     of an earlier polish, 9 px off, were called plausible, because both cameras had slid
     along the surface together and agreed in colour as well as right ones do.
     """
@@ -67,7 +67,7 @@ class Verdict:
 
     @property
     def is_credible(self) -> bool:
-        """Whether nothing speaks against the answer."""
+        """Whether the answer is convincing or plausible."""
         return self.grade != "unconvincing"
 
 
@@ -87,8 +87,8 @@ def failing_photos(fit: Disagreement) -> tuple[int, ...]:
 def decide_verdict(fit: Disagreement, names: Sequence[str]) -> Verdict:
     """Judges cameras by colours and outlines apart.
 
-    Together they would not do: on a wall without outlines right and wrong ends have
-    the same sum, and so they have where the light changed.
+    Their sum would not do: on a wall without outlines right and wrong ends have the same
+    sum, and likewise where the light changed.
 
     Args:
         fit: How badly the cameras fit, ``misfit.against_chance``.
@@ -160,7 +160,7 @@ def _decide_alone(shading: float, outline: float, name: str) -> Verdict:
 
 
 def doubting_the_lens(verdict: Verdict) -> Verdict:
-    """The verdict where the photos show a lens distortion that was held at what it was."""
+    """The verdict where the photos show a lens distortion that was held."""
     if verdict.grade != "convincing":
         return verdict
     return Verdict(
@@ -177,7 +177,7 @@ def doubting_the_centre(verdict: Verdict, names: Sequence[str]) -> Verdict:
     return Verdict(
         "plausible",
         "Plausible: the photos agree on the surface, and the outlines fit, but the "
-        f"principal point of {listed(names)} may be farther off than it was let go.",
+        f"principal point of {listed(names)} may be farther off than it was allowed to move.",
     )
 
 
@@ -204,7 +204,7 @@ def far_centre_sentence(names: Sequence[str]) -> str:
     return (
         f"The principal point of {listed(names)} seems to lie farther off than it may "
         f"move, as if the photo{'s' * (len(names) > 1)} {are} of a larger one. Where that "
-        "is so, refine again and say it (in the page Cropped on the card; --cropped), or "
+        "is so, say so (Cropped on the photo's card; --cropped) and refine again, or "
         "give the whole photo."
     )
 
@@ -213,7 +213,7 @@ def missed_lens_sentence(moves_px: float) -> str:
     """What to do about that, for people."""
     return (
         "The photos show more lens distortion than their cameras have; solving it would "
-        f"move the surface by about {moves_px:.1f} px. Refine again and let it be found "
+        f"move the surface by about {moves_px:.1f} px. Refine again and have it solved "
         '("Lens distortion" under "What may move" on the page; --distortion auto on the '
         "command line)."
     )

@@ -1,4 +1,4 @@
-"""Whether cameras and mesh are of one world, where the photos can tell.
+"""Whether cameras and mesh are in the same world, where the photos can show it.
 
 Cameras of another program are right to some pixels in their own world, so photos agree
 over the surface there. In a world whose axes are others they may still show some of it, but
@@ -32,7 +32,7 @@ from photoreg.search.photo_consistency import (
 LITTLE_IN_VIEW = 0.5
 """Cameras that show less of the surface than this may be of another world."""
 MOST_GUESSES = 6
-"""So many other worlds are tried at most, those that show most of the surface."""
+"""At most so many other worlds are tried, those that show most of the surface."""
 CLEARLY = 0.5
 """Photos agree in a world where they disagree by no more than this share of what they
 do in another one, and of chance. True cameras measured 0.001 to 0.17 of chance where the
@@ -75,17 +75,17 @@ def _share_of_chance(
 
 
 def agree_clearly_better(disagreement: float, other: float) -> bool:
-    """Whether photos that disagree by this ``share_of_chance`` tell a world apart."""
+    """Whether photos that disagree by this ``share_of_chance`` show that a world is wrong."""
     return disagreement <= CLEARLY * min(1.0, other)
 
 
 def why_of_another_world(
     mesh: Mesh, photos: Sequence[Photo], cameras: Sequence[Camera]
 ) -> str | None:
-    """What is wrong with cameras that show little of the surface, if that is sure.
+    """What is wrong with cameras that show little of the surface, if that is certain.
 
-    It is where the photos agree in another world, and not in this one. Rough cameras
-    agree in none.
+    It is certain where the photos agree in another world, and not in this one. Rough
+    cameras agree in none.
 
     Args:
         mesh: The surface.
@@ -93,8 +93,8 @@ def why_of_another_world(
         cameras: One camera a photo.
 
     Returns:
-        Sentences that say so; None where nothing speaks for another world, or nothing
-        at all is in view, of which others tell.
+        Sentences that say so; None where nothing suggests another world, or where nothing
+        is in view, which is reported elsewhere.
     """
     share = share_in_view(mesh, cameras)
     if not 0.0 < share < LITTLE_IN_VIEW or len(photos) < 2:
@@ -113,7 +113,7 @@ def why_of_another_world(
     if sentence is None:
         return None
     return (
-        f"Cameras and mesh are not of one world: {100.0 * share:.0f} % of the surface is "
+        f"Cameras and mesh are not in the same world: {100.0 * share:.0f} % of the surface is "
         f"in view, where the photos do not agree. {sentence}"
     )
 

@@ -107,4 +107,4 @@ def test_another_app_before_ours_on_the_path_is_named(
     )
     assert done.returncode == 2
     told = " ".join(done.stderr.split())
-    assert "Another module named app stands before it on Python's path" in told
+    assert "Another module named app comes before it on Python's path" in told
