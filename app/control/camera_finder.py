@@ -17,10 +17,15 @@ class CameraFinder:
     """Finds cameras of the document that is open."""
 
     def __init__(
-        self, session: Session, worker: Worker, send_scene: Callable[[Document], None]
+        self,
+        session: Session,
+        worker: Worker,
+        send_scene: Callable[[Document], None],
+        refine: Callable[[], None],
     ) -> None:
+        """``refine`` starts a refinement of the document's cameras."""
         self._session, self._worker = session, worker
-        self._send_scene = send_scene
+        self._send_scene, self._refine = send_scene, refine
         # Shared with the session: listeners run under it.
         self._lock = session.lock
 
@@ -43,17 +48,42 @@ class CameraFinder:
                     "Every camera has been placed already. Find this photo's alone, or "
                     "reset those that are wrong."
                 )
-            job = Job("Finding the cameras", can_stop=True)
-            self._session.change(None, rules.setting(job=job, found=()))
-            self._send_scene(state.document)
-            boxes = tuple(state.document.used[i].box for i in wanted)
-            self._worker.send(FindCameras(wanted, boxes))
+            self._send(wanted)
+
+    def find_and_refine(self) -> None:
+        """Leaves the run on screen, finds all cameras anew, and refines from there.
+
+        The refinement starts where all are found beyond doubt; else they stand where they
+        may be, with the poses to pick from.
+
+        Raises:
+            RefinementError: if there is no mesh, or no photo in use.
+        """
+        with self._lock:
+            if self._session.state.run.status == "review":
+                self._session.change(None, rules.reverted)
+            state = self._session.state
+            must_be_ready(state)
+            self._send(tuple(range(len(state.document.used))), then_refine=True)
+
+    def _send(self, wanted: tuple[int, ...], then_refine: bool = False) -> None:
+        document = self._session.state.document
+        job = Job("Finding the cameras", can_stop=True, then_refine=then_refine)
+        self._session.change(None, rules.setting(job=job, found=()))
+        self._send_scene(document)
+        boxes = tuple(document.used[i].box for i in wanted)
+        self._worker.send(FindCameras(wanted, boxes))
 
     def heard(self, event: CamerasFound) -> None:
-        """Puts the cameras where they may be, as one step of undo."""
-        self._session.change(
-            "Find the cameras", lambda state: reducers.found(state, event)
-        )
+        """Puts the cameras where they may be, as one step of undo; refines if asked to."""
+        with self._lock:
+            job = self._session.state.job
+            self._session.change(
+                "Find the cameras", lambda state: reducers.found(state, event)
+            )
+            are_found = all(one.grade == "found" for one in event.found)
+            if job is not None and job.then_refine and are_found:
+                self._refine()
 
     def pick(self, photo: str, place: int) -> None:
         """Puts a photo's camera into one of the poses that were found for it."""

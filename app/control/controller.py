@@ -88,7 +88,9 @@ class Controller:
         self._lock = session.lock
         self.worker = Worker(self._hear, warm_up)
         self.refinement = RunControl(session, self.worker, self._send_scene)
-        self.finder = CameraFinder(session, self.worker, self._send_scene)
+        self.finder = CameraFinder(
+            session, self.worker, self._send_scene, self.refinement.start
+        )
         self.solver = ResectionSolver(session, self._fail)
         self.intake = FileIntake(
             session,

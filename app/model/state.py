@@ -250,6 +250,8 @@ class Job:
     """Whether the user may end it early."""
     is_stopping: bool = False
     """Whether the user has asked for that."""
+    then_refine: bool = False
+    """Whether cameras that are found beyond doubt are refined at once."""
     began_s: float = dataclasses.field(default_factory=time.monotonic, compare=False)
     """When, by the monotonic clock."""
 

@@ -26,6 +26,8 @@ PRESET_HELP: dict[PresetName, str] = {
     "thorough": "A wider search, for very rough starts.",
     "paper": "The genetic algorithm of the paper alone, as published.",
 }
+FIND = "Find the cameras and refine"
+FIND_AGAIN = f"{FIND} again"
 NEXT_HTML = (
     f'<div style="{ROW}"><button title="Opens tab 4, Export" style="{BUTTON};{SELECTED};'
     f'padding:7px" {opening("4 Export")}>Next: make the texture</button></div>'
@@ -110,6 +112,14 @@ class RefinePanel:
             hint="Takes the refined cameras, and starts another run from them; it searches "
             "wider where they did not convince.",
         )
+        self._find = gui.add_button(
+            FIND,
+            icon=viser.Icon.CAMERA_SEARCH,
+            color="gray",
+            visible=False,
+            hint="Looks for all cameras anew, by the object's outline, and refines from there. "
+            "Undo brings those of now back.",
+        )
         self._report = gui.add_button(
             "Download report",
             icon=viser.Icon.FILE_DOWNLOAD,
@@ -142,6 +152,7 @@ class RefinePanel:
             (self._revert, refinement.revert),
             (self._on, refinement.go_on),
             (self._again, refinement.start_again),
+            (self._find, controller.finder.find_and_refine),
         ):
             button.on_click(guarded(lambda _, action=action: action()))
 
@@ -186,6 +197,9 @@ class RefinePanel:
         put(self._accept, "label", "Keep anyway" if doubtful else "Accept")
         put(self._accept, "color", "gray" if doubtful else "teal")
         put(self._revert, "color", "teal" if doubtful else "gray")
+        put(self._find, "visible", doubtful or (idle and ready and _is_lost(state)))
+        put(self._find, "disabled", state.job is not None)
+        put(self._find, "label", FIND_AGAIN if doubtful else FIND)
         put(self._on, "visible", state.can_go_on)
         put(self._report, "disabled", current_comparison(state) is None)
         put(self._verdict, "visible", review and bool(run.verdict))
@@ -194,6 +208,14 @@ class RefinePanel:
         self._freedom.show(state)
         self._runs.show(state)
         self._advanced.show(state)
+
+
+def _is_lost(state: State) -> bool:
+    """Whether a camera sees nothing of the surface, or none what another sees."""
+    readiness = state.readiness
+    if readiness is None or readiness.refusals:
+        return False
+    return bool(readiness.blind) or not readiness.is_possible
 
 
 def verdict_html(run: Run) -> str:

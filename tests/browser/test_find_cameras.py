@@ -7,7 +7,10 @@ from playwright.sync_api import expect
 
 from app.model.messages import MeshLoaded, PhotoLoaded
 from app.model.reducers import with_mesh, with_photo
+from app.model.run import Run
+from app.model.session import setting
 from app.model.state import Document, State, same_camera
+from app.panels.refine import FIND, FIND_AGAIN
 from photoreg.geometry.mesh import Mesh
 from photoreg.geometry.projection_error import projection_error
 from photoreg.geometry.rasteriser import render_geometry
@@ -151,3 +154,48 @@ def test_a_box_drawn_around_the_object_tells_it_from_others(open_app):
     app.session.undo()
     assert app.state.document == before
     expect(driver.page.get_by_role("button", name="Remove the box")).to_be_hidden()
+
+
+def test_found_cameras_are_offered_where_the_start_sees_nothing_or_an_answer_fails(
+    open_app,
+):
+    scene = small_scene(seed=5)
+    document = dropped(scene.mesh, scene.photos)
+    # Somebody has placed a camera, and looks away from the object with it.
+    first, second = document.photos
+    R = np.diag([-1.0, 1.0, -1.0]) @ first.camera.R_cam_world
+    away = dataclasses.replace(
+        first.camera, R_cam_world=R, t_cam_world=-R @ first.camera.center
+    )
+    photos = (dataclasses.replace(first, camera=away), second)
+    app = open_app(dataclasses.replace(document, photos=photos))
+    before, page = app.state.document, app.driver.page
+    config = RegistrationConfig.preset("fast")
+    app.session.change(None, setting(config=config))
+    app.driver.dismiss_toasts()
+    app.driver.tab("3 Refine")
+    offered = page.get_by_role("button", name=FIND, exact=True)
+    expect(offered).to_be_visible(timeout=60_000)
+    assert app.state.document is before, "no camera moves by itself"
+
+    cameras = before.used_cameras
+    failed = Run(
+        status="review",
+        number=1,
+        photo_names=tuple(photo.name for photo in scene.photos),
+        start=cameras,
+        cameras=cameras,
+        grade="unconvincing",
+        verdict="Unconvincing: the photos do not agree.",
+    )
+    app.session.change(None, setting(run=failed, runs=(failed,)))
+    app.driver.click(FIND_AGAIN)
+    wait_until(lambda: app.state.run.is_active, "it refines from there", 300.0)
+    assert app.state.undo_name == "Find the cameras"
+    to_its_end(app)
+    end = projection_error(scene.mesh, scene.cameras, app.state.run.cameras).mean
+    assert end < 0.5, end
+    expect(page.get_by_role("button", name=FIND_AGAIN, exact=True)).to_be_hidden()
+    app.controller.refinement.revert()
+    app.session.undo()
+    assert app.state.document == before
