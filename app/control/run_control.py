@@ -15,6 +15,8 @@ from app.model.wanted_pictures import current_comparison, wanted_view
 from photoreg.errors import RefinementError
 from photoreg.report.run_report import RunReport, report_html
 
+NOT_BELIEVED = "The answer does not convince, so its errors are not estimated."
+
 
 class RunControl:
     """Runs of the document that is open, one at a time."""
@@ -185,9 +187,11 @@ def report_of(state: State, compared: Compared) -> RunReport:
         generations=run.generation,
         evaluations=run.evaluations,
         errors_px=errors,
-        expected_error_px=run.expected_error_px,
+        expected_error_px=run.told_error_px,
         costs=costs,
-        certainty=(*run.standard_errors, *run.undetermined),
+        certainty=(NOT_BELIEVED,)
+        if run.grade == "unconvincing"
+        else (*run.standard_errors, *run.undetermined),
         curve=run.curve,
         photo_names=run.photo_names,
         start=run.start,

@@ -119,3 +119,11 @@ class Run:
         """Mean of the expected errors, None where nothing is known."""
         known = [error for error in self.expected_errors_px if error is not None]
         return sum(known) / len(known) if known else self.polish_error_px
+
+    @property
+    def told_error_px(self) -> float | None:
+        """The expected error, as far as it says something.
+
+        What is expected of a right answer would mislead about one that is not believed.
+        """
+        return None if self.grade == "unconvincing" else self.expected_error_px

@@ -260,10 +260,7 @@ def _checks(state: State) -> str:
         "A second photo makes the answer surer."
     )
     if readiness.overlap is not None:
-        text = (
-            f"The photos overlap in **{100.0 * readiness.overlap:.0f} %** of the surface "
-            "that they see."
-        )
+        text = "" if readiness.problems else "The photos overlap on the surface."
     return text + "".join(
         f"\n\n⚠ {in_markdown(problem)}" for problem in readiness.problems
     )
@@ -320,14 +317,11 @@ def _table(run: Run) -> str:
         rows.append(
             ("True error", f"{run.start_error_px:.2f}", f"{run.error_px:.2f} px")
         )
-    # What is expected of a right answer would mislead about one that is not believed.
-    if run.expected_error_px is not None and run.grade != "unconvincing":
-        rows.append(("Expected error", "", f"{run.expected_error_px:.2f} px"))
+    if run.told_error_px is not None:
+        rows.append(("Expected error", "", f"{run.told_error_px:.2f} px"))
     elif run.is_active:
         rows.append(("Expected error", "", "once it polishes"))
-    if run.start_cost is not None and run.cost is not None:
-        rows.append(("Cost", number(run.start_cost), number(run.cost)))
-    elif run.curve:
+    if run.is_active and run.curve:
         rows.append(("Cost", "100 %", f"{number(100 * run.curve[-1].best)} %"))
     if not rows:
         return ""
@@ -338,7 +332,7 @@ def _table(run: Run) -> str:
 
 def _certainty(run: Run) -> str:
     """How sure each camera is, and what the photos leave open."""
-    if not run.standard_errors:
+    if not run.standard_errors or run.grade == "unconvincing":
         return ""
     # A number keeps to its unit where a line breaks.
     sentences = [

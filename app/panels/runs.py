@@ -76,7 +76,7 @@ def table(state: State) -> str:
     rows = ["| | settings | seed | cost | px | time |", "|--:|:--|--:|--:|--:|--:|"]
     for run in reversed(state.runs):
         cost = "" if run.cost is None else number(run.cost)
-        error = run.error_px if run.error_px is not None else run.expected_error_px
+        error = run.error_px if run.error_px is not None else run.told_error_px
         pixels = "" if error is None else f"{error:.2f}"
         seed = run.config.seed if run.config is not None else 0
         mark = " ✓" if in_use(state, run) else ""

@@ -1,6 +1,7 @@
 """Find the cameras: from a mesh and photos to refined cameras without touching one."""
 
 import dataclasses
+import re
 
 import numpy as np
 from playwright.sync_api import expect
@@ -187,8 +188,17 @@ def test_found_cameras_are_offered_where_the_start_sees_nothing_or_an_answer_fai
         cameras=cameras,
         grade="unconvincing",
         verdict="Unconvincing: the photos do not agree.",
+        start_cost=0.5,
+        cost=0.4,
+        expected_errors_px=(6.96, 6.96),
+        standard_errors=("left.png: expected error 6.96 px; rotation ±0.4°.",),
     )
     app.session.change(None, setting(run=failed, runs=(failed,)))
+    # An answer that is not believed is left first, and nothing is expected of it.
+    buttons = page.get_by_role("button", name=re.compile("^(Revert|Keep anyway)$"))
+    expect(buttons).to_have_text(["Revert", "Keep anyway"])
+    expect(page.get_by_text("The photos do not agree.")).to_be_visible()
+    assert "6.96" not in page.locator("body").inner_text()
     app.driver.click(FIND_AGAIN)
     wait_until(lambda: app.state.run.is_active, "it refines from there", 300.0)
     assert app.state.undo_name == "Find the cameras"
