@@ -38,6 +38,7 @@ from app.scene.nodes import SceneNodes
 from app.scene.viewport import Viewport
 from app.web.access import AccessControl, start_viser
 from app.web.bridge import Bridge, Values
+from app.web.button_commands import ButtonCommands
 from app.web.controls import (
     BRAND,
     guarded,
@@ -185,6 +186,7 @@ class Page:
         self.server.scene.on_click()(cast(Any, clicked))
 
         gui.add_html(button_hints(gui))
+        self._button_commands = ButtonCommands(gui)
         dock(gui, left)
         self._tour = gui.add_html("")
         self._view_order = align.view_order
@@ -327,6 +329,7 @@ class Page:
             put(self._tour, "content", mounted("tour") if state.document.truth else "")
             for panel in self._run_panels if is_brief else self._panels:
                 panel.show(state)
+            self._button_commands.show()
             if not self._is_scene_late:
                 self._scene_at = now
                 self.scene.show(state)
