@@ -36,7 +36,7 @@ class PolishConfig:
     use_colour: bool = True
     """Compare the photos' colours on the surface."""
     use_silhouette: bool = True
-    """Draw the mesh's rim to the photos' edges."""
+    """Pull the mesh's rim to the photos' edges."""
     use_correspondences: bool = dataclasses.field(default=True, repr=False)
     """End by matching patches of the photos over the surface, where colours are used."""
     correspondence_rounds: int = dataclasses.field(default=2, repr=False)

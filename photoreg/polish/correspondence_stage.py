@@ -1,10 +1,10 @@
-"""The last stage of the polish: correspondences, with what colours and outlines know.
+"""The last stage of the polish: correspondences, with what colours and outlines add.
 
 Where photos differ in appearance by a little over large areas, colours pull both cameras
 along the surface together, by pixels, though the photos lie on each other within a
 fraction of one. Matched patches do not see such differences. So they lead, and
-colours and outlines add what their own scatter, and their agreement with the
-correspondences, leave of them.
+colours and outlines count as far as their own scatter, and their agreement with the
+correspondences, allow.
 """
 
 import dataclasses
@@ -39,7 +39,7 @@ from photoreg.polish.silhouette_term import RimTerm
 CELL_PX = 48.0
 """Side of the cells over which errors are summed, in pixels of a photo 1,024 px wide."""
 MIN_CORRESPONDENCES = 200
-"""Fewer, over both ways, say nothing of their own noise."""
+"""Fewer, both ways together, say nothing about their own noise."""
 MAX_SIGMA_PX = 1.0
 """Matches that scatter by more all round are found by chance: those scatter by 2."""
 
@@ -112,9 +112,9 @@ def median_shift_px(
 ) -> float | None:
     """How far off the photos' details are, carried over the surface onto each other.
 
-    It tells better cameras from worse where colours drift slowly, as in haze: patches are
-    matched whatever their brightness. A patch that is not found counts as farther off than
-    all others, so that cameras gain nothing by what they no longer share.
+    It distinguishes better cameras from worse ones where colours drift slowly, as in haze:
+    patches are matched whatever their brightness. A patch that is not found counts as
+    farther off than all others, so that cameras gain nothing by what they no longer share.
 
     Args:
         mesh: The surface.
@@ -172,7 +172,7 @@ def polish_by_correspondences(
     Args:
         terms: At least one.
         others: Colours and outlines, with the noise of the level before.
-        names: What the photos are called.
+        names: Names of the photos.
         prior: The pre-registration.
         x: Where to begin.
         damping: Of the minimisations.
@@ -190,7 +190,7 @@ def polish_by_correspondences(
     by_mesh = _MeshErrors.of(leading, prior, x)
     trusted = [_weighed(term, x, by_mesh.scatter_of(term, x)) for term in leading]
     warnings: tuple[str, ...] = ()
-    # Colours first: what they add makes an outline that disagrees easier to tell.
+    # Colours first: with them, an outline that disagrees is easier to recognise.
     for kind in (PairTerm, RimTerm):
         inner = total([prior, *trusted], x).along(directions)
         covariance = directions @ np.linalg.inv(inner.normal) @ directions.T
@@ -206,7 +206,7 @@ def polish_by_correspondences(
             yield last
     assert last is not None  # A minimisation yields its start at least.
     # Colours and correspondences come from the same pixels and the same mesh, so their
-    # errors may be one: the variance of a sum is at most twice the sum of variances.
+    # errors may be the same: the variance of a sum is at most twice the sum of variances.
     alike = [term for term in trusted if not isinstance(term.term, RimTerm)]
     scatter = last.iterate.model.normal + total(alike, x).normal
     yield dataclasses.replace(last, scatter=scatter)
@@ -214,7 +214,7 @@ def polish_by_correspondences(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _MeshErrors:
-    """What the mesh's own error does to each term, alike over its own length."""
+    """What the mesh's own error, which is correlated over some length, does to each term."""
 
     fields: dict[tuple[int, int], MeshField]
     """Of the pairs that have correspondences."""

@@ -30,13 +30,13 @@ CUT = 2.0
 BLOCK_SIDES = (1, 2, 4)
 """Sides, in cells, of the blocks over which errors may be alike."""
 NOISE_PASSES = 3
-"""How often the noise is measured where the term would go with the noise before."""
+"""How often the noise is measured anew, each time where the term would go with the last."""
 CHI_SQUARE_MEDIAN = 0.4549
 """Median of the square of a standard normal number."""
 MIN_CELLS = 20
-"""Fewer do not tell how far the mesh's error is alike."""
+"""Fewer do not show over what length the mesh's error is correlated."""
 WINDOW_PX2 = 4.0 * np.pi * WINDOW_SIGMA**2
-"""Area of a patch's window: patches nearer to each other tell the same in part."""
+"""Area of a patch's window: patches nearer to each other are partly redundant."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -161,7 +161,7 @@ class CorrespondenceTerm:
     ) -> tuple[MeshField, Float[np.ndarray, "k k"]]:
         """The mesh's own error, and the covariance by it of the gradient at ``x``.
 
-        The latter is of ``rows``. Both are 0 where there are too few cells to tell.
+        The latter is of ``rows``. Both are 0 where there are too few cells to measure them.
         """
         keys, cell = np.unique(np.concatenate(self.cells), return_inverse=True)
         m, p = len(keys), len(self.rows)
@@ -204,8 +204,8 @@ class CorrespondenceTerm:
     def with_noise_of(self, x: Float[np.ndarray, "p"]) -> "CorrespondenceTerm":
         """The term with the noise that its residuals have at ``x``.
 
-        Medians say it, so that wrong matches do not: across the epipolar line, what is
-        left beyond the matches' noise; along it, what is left beyond both.
+        By medians, so that wrong matches do not count: across the epipolar line, what is left
+        beyond the matches' noise; along it, what is left beyond both.
         """
         across, along = [], []
         for (error, _), way in zip(self.residuals(x), self.ways, strict=True):
@@ -281,7 +281,7 @@ class CorrespondenceTerm:
 
 
 def _share(ways: tuple[Correspondences, Correspondences]) -> float:
-    """How much of a correspondence is its own: others tell the same in part.
+    """How much of a correspondence is independent: others are partly redundant.
 
     Each place is found twice, from either photo to the other, and windows overlap.
     """

@@ -29,7 +29,7 @@ NORMAL_BLUR_PX = 2.5
 DEPTH_TOLERANCE = 0.003
 """What is farther than the surface by more than this share of its depth is hidden."""
 MIN_CORRELATION = 0.5
-"""Patches that are less alike than this are not of one place."""
+"""Patches less alike than this do not show the same place."""
 STRIDE_PX = 10
 """Distance of the patches' centres, at least."""
 NOISE_FACTOR = 0.5 * 4.0 * np.pi * BLURS_PX[1] ** 2

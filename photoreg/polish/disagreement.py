@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 AGREEMENT_PX = 0.05
-"""An error of the mesh below this is told as none: matches are no better."""
+"""An error of the mesh below this is reported as none: matches are no better."""
 OWN_UNITS = "of the scan's units"
 
 

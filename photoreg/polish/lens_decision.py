@@ -25,9 +25,9 @@ def decided_step(
 ) -> Float[np.ndarray, "p"] | None:
     """One step with more directions, where the data decide those; None where not.
 
-    They do by how far one step of all directions would take the new ones, in its standard errors
-    (Wald's test). Terms of the lens that nothing decides would cost what they do not
-    bring: ideal lenses ended 0.05 px farther off with all five.
+    Whether they do is measured by how far one step of all directions would take the new ones,
+    in its standard errors (Wald's test). Terms of the lens that nothing determines cost
+    more than they bring: ideal lenses ended 0.05 px farther off with all five.
 
     Args:
         model: The cost at the minimum along ``directions``.
@@ -54,8 +54,8 @@ def step_back(
 ) -> Float[np.ndarray, "p"] | None:
     """The step to where only ``directions`` have moved; None where the data decide more.
 
-    A lens that cannot be told from the given one stays that, and an ideal one ideal: what
-    is left of it would be noise, which programs without lenses could not even take.
+    A lens that does not differ significantly from the given one stays as given, and an ideal
+    one ideal: the difference would be noise, and programs without lenses could not take it.
 
     Args:
         model: The cost at ``x``, its minimum along ``more``.
@@ -87,9 +87,9 @@ def let_go(
     directions: Float[np.ndarray, "p q"],
     rows: Sequence[Int[np.ndarray, "k"]],
 ) -> tuple[Float[np.ndarray, "p"], list[bool]]:
-    """One step under a wider prior, and which numbers it takes decidedly away.
+    """One step under a wider prior, and which numbers it changes significantly.
 
-    A principal point that is held, or by its prior nearly so, is wrong where a part of the
+    A principal point that is held, or nearly so by its prior, is wrong where part of the
     photo was cut off.
 
     Args:

@@ -2,7 +2,7 @@
 
 A term gives its cost at x and the normal equations there: the gradient and the
 Gauss-Newton approximation of the second derivative, with robust weights. How they come
-about (photos, rims, priors) is the term's own affair.
+about (photos, rims, priors) is up to the term.
 """
 
 import dataclasses
@@ -15,8 +15,8 @@ import scipy.sparse.linalg
 from jaxtyping import Float, Int
 
 DENSE_UP_TO = 60
-"""So many numbers, those of four cameras, are reckoned with all at once. Of more, each
-term is reckoned with in its own, and the normal equations are solved as sparse ones."""
+"""Up to so many numbers, those of four cameras, are handled all at once. With more, each
+term is handled in its own, and the normal equations are solved as sparse ones."""
 
 
 def among_all(
@@ -55,7 +55,7 @@ class Quadratic:
 
     @property
     def is_finite(self) -> bool:
-        """Whether all of it can be reckoned with."""
+        """Whether all of it is finite."""
         return bool(
             np.isfinite(self.cost)
             and np.isfinite(self.gradient).all()
@@ -83,7 +83,7 @@ class Term(Protocol):
 
 
 class ScatteringTerm(Term, Protocol):
-    """A term that tells how uncertain its gradient is."""
+    """A term that knows how uncertain its gradient is."""
 
     @property
     def rows(self) -> Int[np.ndarray, "k"]:
@@ -186,7 +186,7 @@ def minimise(
     for iteration in range(1, damping.max_iterations + 1):
         inner = model.along(moves)
         diagonal = np.diag(inner.normal)
-        # A parameter that nothing sees has a zero diagonal: keep the matrix regular.
+        # A parameter without effect has a zero diagonal: keep the matrix regular.
         floor = max(float(diagonal.max()), 1e-300) * 1e-12
         step = -solve_normal(
             inner.normal + np.diag(share * diagonal + floor), inner.gradient
@@ -231,7 +231,7 @@ def own_end(
     if they were not there before.
 
     A term's noise is measured there: where terms pull against each other, the pull
-    would else pass for noise, and the term that gives way would give way for ever.
+    would otherwise be taken for noise, and the term that gives way would do so for ever.
     """
     model, end = model.handy(len(x)), x.copy()
     step = -np.linalg.solve(model.normal + np.eye(len(model.gradient)), model.gradient)
@@ -254,7 +254,7 @@ def total_scatter(
 
 
 MIN_GROUPS = 20
-"""Fewer groups than this say too little about their own spread."""
+"""Fewer groups than this say too little about their spread."""
 
 
 def overdispersion(
@@ -262,7 +262,7 @@ def overdispersion(
     normal: Float[np.ndarray, "p p"],
     groupings: Sequence[Int[np.ndarray, "cells"]],
 ) -> float:
-    """How much less the data knows than its normal matrix says, at least 1.
+    """How much less the data determines than its normal matrix says, at least 1.
 
     Were all residuals independent, the gradient's spread over groups of residuals would
     add up to the normal matrix. Errors that neighbours share (of the mesh, of the
@@ -290,7 +290,7 @@ def scatter(
     normal: Float[np.ndarray, "p p"],
     groupings: Sequence[Int[np.ndarray, "cells"]],
 ) -> Float[np.ndarray, "p p"]:
-    """Covariance of the term's gradient, as its spread over groups of residuals tells.
+    """Covariance of the term's gradient, by its spread over groups of residuals.
 
     The arguments are those of ``overdispersion``; the spread is that of each direction,
     and never below the normal matrix on the whole. One factor for all directions would
@@ -319,7 +319,7 @@ def _scatters(
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """The scores' covariance over each grouping that has enough groups.
 
-    With it goes its ratio to the normal matrix along each direction that this knows.
+    Each with its ratio to the normal matrix along each direction that this determines.
     """
     values, vectors = np.linalg.eigh(normal)
     known = values > 1e-9 * values.max(initial=1e-300)

@@ -1,8 +1,8 @@
-"""A scan's own error as a field over the surface: how large it is, and how far alike.
+"""A scan's own error as a field over the surface: its size and correlation length.
 
-Neighbouring places of a scan are wrong alike, so many matches do not average its error
-away, and the slowest part of it the cameras follow: it is in no residual. What is left tells
-size and length all the same, if it is told what the cameras can follow.
+The errors of neighbouring places of a scan are correlated, so many matches do not average
+them out, and the cameras follow their slowest part, which is in no residual. The residuals
+still show size and length, if it is taken into account what the cameras can follow.
 """
 
 import dataclasses
@@ -13,8 +13,8 @@ from jaxtyping import Float
 from scipy.linalg import solve_triangular
 
 LENGTHS = (0.0, 1.0, 2.0, 4.0)
-"""How far the error may be alike, in distances of neighbouring cells. Longer ones are
-changes of the whole, which photos cannot tell from other cameras."""
+"""Correlation lengths that are tried, in distances of neighbouring cells. Longer ones are
+changes of the whole, which look like other cameras."""
 SIGMAS = np.geomspace(0.05, 1000.0, 60)
 """Its size, over the noise of the typical cell."""
 OUTLIER = 3.0
@@ -48,7 +48,7 @@ def fit_mesh_field(
     design: Float[np.ndarray, "m p"],
     places: Float[np.ndarray, "m 3"],
 ) -> MeshField:
-    """The field that makes errors the most likely that are left where cameras ended.
+    """The field under which the errors left where the cameras ended are the most likely.
 
     Args:
         errors: Of places of the scan, along its normal, in model units.

@@ -1,4 +1,4 @@
-"""How well cameras fit photos and mesh, measured alike at any pose.
+"""How well cameras fit photos and mesh, measured in the same way at any pose.
 
 The polish's own cost holds points, edges and noise that were measured at one pose, so
 it cannot compare two. Here everything is measured afresh at the pose that is judged.
@@ -51,7 +51,7 @@ SHADING_REACH_PX = 12.0
 detail that the surface should explain."""
 MIN_POINTS = 1_000
 MIN_CELL_POINTS = 8
-"""Fewer points than this say too little of their cell."""
+"""Fewer points than this say too little about their cell."""
 RIM_POINTS = 400
 MIN_RIM_POINTS = 20
 """Fewer points than this are no outline."""
@@ -78,8 +78,8 @@ def disagreement(
 
     Of one photo, in place of the colours: shading that the surface does not explain.
 
-    ``pairs``: which photos to compare; None: as ``choose_pairs`` has it. Cameras that are
-    to be judged against each other want the same.
+    ``pairs``: which photos to compare; None: those of ``choose_pairs``. Cameras that are to
+    be compared with each other need the same.
     """
     small = [camera.reduced(SIDE_PX, least_px=16) for camera in cameras]
     views = surface_views(mesh, small)

@@ -36,15 +36,15 @@ CUT = 2.0
 BLOCK_SIDES = (1, 2, 4)
 """Sides, in cells, of the blocks over which errors may be alike."""
 EDGE_MARGIN_PX = 2.0
-"""Points this near to a rim or to another jump of depth are left out: their pixels mix
+"""Points this near to a rim or another jump of depth are left out: their pixels mix
 two surfaces. Where a shell's ribs hide each other these few points moved the answer by
 0.18 px without any noise; without them it is 0.04."""
 LIGHT_BLURS_PX = (8.0, 16.0)
 """How far normals are evened out before light is fitted, in pixels of 1,024. A rough
-mesh wants more, a finely shaped one less; the fit takes the best of both. Where light
+mesh needs more, a finely shaped one less; the fit takes the best of both. Where light
 moved over a rough mesh 2 or 4 leave half as much of it again."""
 SPACINGS = 8
-"""Distances between points that are tried, an octave."""
+"""Distances between points that are tried, per octave."""
 WINDOW_PX = 64
 """Points are drawn over a box whose sides are multiples of this."""
 MIN_INNER_SHARE = 0.1
@@ -211,8 +211,8 @@ def spread_pixels(
 ) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "m"]]:
     """About ``n`` places evenly over a window, four a pixel at most, and their ranks.
 
-    A window that is another by a pixel, as of a mesh in other units, changes one place
-    and no other: so would it be if they were drawn from a list of its pixels.
+    A window that differs by a pixel, as for a mesh in other units, changes one place and no
+    other; drawn from a list of its pixels, all would change.
 
     Returns:
         Pixels (column, row), and a random number each, by whose order to take fewer.
@@ -371,9 +371,9 @@ class PairTerm:
     def tempered(self, x: Float[np.ndarray, "p"]) -> "PairTerm":
         """The term with each channel weighted by what it knows at ``x``.
 
-        What the channels get wrong together is left to ``scatter``: in the weights it
-        would trust outlines more, and where a scan's outline is fat the answer follows
-        it (granite went from 0.7 to 1.4 px).
+        What the channels get wrong together is left to ``scatter``: in the weights it would
+        make outlines count more, and where a scan's outline is fat the answer follows it
+        (granite went from 0.7 to 1.4 px).
         """
         gradients, normals = self._own_scores(x)
         ratios = [
@@ -389,7 +389,7 @@ class PairTerm:
     def scatter(self, x: Float[np.ndarray, "p"]) -> Float[np.ndarray, "k k"]:
         """Covariance of the gradient at ``x``, all channels together, of ``rows``."""
         gradients, normals = self._own_scores(x)
-        # Where the mesh is wrong, all channels are wrong alike.
+        # Where the mesh is wrong, all channels are wrong in the same way.
         return scatter(
             np.einsum("k,ckp->cp", self.weight, gradients),
             np.einsum("k,kij->ij", self.weight, normals),
@@ -399,7 +399,7 @@ class PairTerm:
     def _own_scores(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Gradients (cells, 3, 2 n) and normals (3, 2 n, 2 n) where this term would go.
 
-        Where it is, if nothing can be reckoned there.
+        Where it is, if it cannot be evaluated there.
         """
         limits = np.concatenate([one.limits for one in self.increments])
         end = own_end(self.linearise(x), x, limits, self.rows)

@@ -69,8 +69,8 @@ SETTLING_POINTS = 500
 """Surface points by which a level is seen to have settled."""
 
 NEXT_DISTORTION: dict[Distortion, Distortion] = {"none": "k1", "auto": "full"}
-"""What is asked at the end: whether the data decide so much of the lenses. With "auto",
-whether they decide k1 either, if not."""
+"""What is tested at the end: whether the data decide so much of the lenses. With "auto",
+if not, whether they decide k1."""
 
 UNKNOWN_BIAS_PX = 1.5
 """What a single photo without an outline is taken to be off by, in pixels of a photo 1,024
@@ -102,7 +102,7 @@ class PolishStep:
     """What the user should know, in sentences."""
     scatter: Float[np.ndarray, "p p"] | None = None
     """Of the last step of each level: covariance of the cost's gradient, in inverse
-    units. ``uncertainty`` tells from it how sure the cameras are."""
+    units. ``uncertainty`` derives from it how sure the cameras are."""
     disagreement: Disagreement | None = None
     """Of the last step only: ``agreement.disagreement`` of these cameras."""
     start_disagreement: Disagreement | None = None
@@ -147,18 +147,19 @@ def polish_cameras(
         start_disagreement: ``agreement.disagreement`` of ``cameras``, if known.
         freedom: What may move; None: everything. What is held, and shared focal
             lengths, ``cameras`` have as ``prior_cameras`` do.
-        distortion: How much of the lenses is solved, around those of
+        distortion: How much of the lenses is solved, starting from those of
             ``prior_cameras``.
-        pairs: Which photos are compared; None: as ``choose_pairs`` has it at
+        pairs: Which photos are compared; None: those of ``choose_pairs`` at
             ``cameras``.
 
     Raises:
-        InputError: if photos, cameras and priors are not of one number.
+        InputError: if there are not as many cameras and priors as photos.
         RefinementError: if a camera does not see the mesh.
 
     Yields:
-        Every accepted step, each round's first included, and where a level ends its last
-        one again, with how sure it is. The last one of all holds the answer, which by ``agreement.disagreement`` is never worse than the start.
+        Every accepted step, including each round's first, and at the end of a level its last
+        one again, with how sure it is. The very last one holds the answer, which by
+        ``agreement.disagreement`` is never worse than the start.
     """
     config = config or PolishConfig()
     if not len(photos) == len(cameras) == len(prior_cameras) or len(photos) == 0:
@@ -235,7 +236,7 @@ def polish_cameras(
                 surface, _cameras(increments, x_before), _cameras(increments, x)
             )
         assert latest is not None  # A level has at least one round.
-        # The prior's gradient is as uncertain as the prior says.
+        # The prior's gradient has the prior's own uncertainty.
         scatter = moving.prior.precision + total_scatter(terms, x)
         latest = dataclasses.replace(
             latest, scatter=scatter, bias_px=_bias_px(latest.cameras, terms)
@@ -317,7 +318,7 @@ def polish_cameras(
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class _Moving:
-    """The numbers that move the cameras, and what holds them."""
+    """The numbers that move the cameras, and what restrains them."""
 
     increments: tuple[Increments, ...]
     start: Float[np.ndarray, "p"]
@@ -566,7 +567,7 @@ def _better_end(
         start_disagreement=before,
         warnings=(
             *latest.warnings,
-            "The polish found nothing better; the cameras are as they came. Where the "
+            "The polish found nothing better; the cameras are unchanged. Where the "
             "overlay is off, align them more closely, or try the preset thorough.",
         ),
     )
@@ -582,9 +583,9 @@ def is_no_worse(
 ) -> bool:
     """Whether cameras fit at least as well as those they came from.
 
-    Colours and outlines say it. Where they say no, the photos' details are asked: slow
-    differences of appearance, and a scan fat at its rim, make the right cameras look worse
-    than some pixels beside them.
+    Colours and outlines decide. Where they say no, the photos' details decide: with slow
+    differences of appearance, or a scan that is fat at its rim, the right cameras look worse
+    than others some pixels off.
 
     Args:
         mesh: The surface.
@@ -615,8 +616,8 @@ def is_no_worse(
 def _bias_px(cameras: Sequence[Camera], terms: Sequence[PolishTerm]) -> float:
     """How far a single photo's camera may be off, whatever the noise, in its pixels.
 
-    A wrong scan draws outline and shading with it, and no other photo tells. How far
-    stretches of the outline are off beyond their noise does: so much the whole may be.
+    A wrong scan takes outline and shading with it, and there is no other photo to show it.
+    But stretches of the outline are off beyond their noise: so much the whole may be.
     """
     if len(cameras) > 1:
         return 0.0

@@ -1,10 +1,10 @@
 """A term trusted as far as its scatter allows, direction by direction.
 
-A term's weight says how much it knows on the whole. But colours that tell to a tenth of
-a pixel how the photos lie on each other may know nothing of how both slide over the surface
+A term's weight says how much it knows on the whole. But colours that show to a tenth of
+a pixel how the photos lie on each other may say nothing about both sliding over the surface
 together, whatever their normal matrix says: slow differences of appearance pull there, and
-the pulls of neighbouring blocks add up. The covariance S of the gradient, as it scatters
-over blocks, tells; N S^-1 N is then what the term knows, N being its normal matrix.
+the pulls of neighbouring blocks add up. The covariance S of the gradient, by its scatter
+over blocks, shows it; N S^-1 N is then what the term knows, N being its normal matrix.
 """
 
 import dataclasses
@@ -18,7 +18,7 @@ from photoreg.polish.levenberg_marquardt import Quadratic, Term
 RANGE = 1e-9
 """Directions with less than this share of the largest eigenvalue are not known."""
 SURPRISE = 1e-3
-"""Probability below which a term's disagreement is no chance."""
+"""Probability below which a term's disagreement is not due to chance."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class SandwichTerm:
     inverse_scatter: Float[np.ndarray, "p p"]
     """S^-1 within what the term knows, in the numbers of its ``Quadratic.handy``."""
     factor: float = 1.0
-    """By which S is larger than the blocks tell, as others disagree with the term."""
+    """By which S is larger than the blocks show, because others disagree with the term."""
     surprise: float = 1.0
     """Probability of such a disagreement by chance."""
 
@@ -69,8 +69,8 @@ class SandwichTerm:
     ) -> "SandwichTerm":
         """The term with its scatter as large as its disagreement with others says.
 
-        An outline that is fat all around, or a haze over half a photo, is wrong alike in all
-        blocks, so blocks do not tell. Others do.
+        An outline that is fat all around, or haze over half a photo, is wrong in the same way
+        in all blocks, so blocks do not show it. Other terms do.
 
         Args:
             x: Where the others lead.

@@ -61,13 +61,13 @@ MAX_FITTED = 4_000
 RIDGE = 1e-3
 """Pull of each coefficient to zero, as a share of the features' energy."""
 MIN_EXPLAINED = 0.03
-"""Least share of the photo that the surface explains, lest the term is left out."""
+"""Share of the photo that the surface must explain, or the term is left out."""
 
 
 def shading_side_px(reach_px: float) -> int:
     """The longer side of the view in which a reach, in pixels of 1,024, is 8 pixels.
 
-    From 256 to 768: finer faces are not told apart, and coarser ones not missed.
+    From 256 to 768: finer faces are not resolved, and coarser ones are not missed.
     """
     return round(float(np.clip(8.0 * 1024.0 / reach_px, 256.0, 768.0)))
 

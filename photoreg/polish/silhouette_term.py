@@ -377,7 +377,7 @@ class RimTerm:
     ) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
         """Gradients of the segments, normal matrix and groupings where it would go.
 
-        Where it is, if nothing can be reckoned there.
+        Where it is, if it cannot be evaluated there.
         """
         end = own_end(self.linearise(x), x, self.increments.limits, self._own)
         model = self.linearise(end)
