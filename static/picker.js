@@ -4,6 +4,7 @@
 (() => {
   const { photoreg } = window;
   const TILE = 512;
+  const CROP_PX = 76; // Of the other photo about a point, at the pixels of its overview.
   const CLICK_PX = 4; // A press that moves less is a click.
   const style = document.createElement("style");
   // The foot keeps its height whatever it says, and a button its width when it is pressed:
@@ -35,6 +36,8 @@
     height:16px;line-height:16px;border-radius:8px;background:var(--c);color:#08110f;
     font-size:11px;text-align:center;font-weight:700}
   .pr-mark:focus-visible i,.pr-mark.pr-chosen i{box-shadow:0 0 0 2px #fff}
+  .pr-crops:empty{display:none}
+  .pr-crops canvas{width:${CROP_PX}px;height:${CROP_PX}px;border-radius:6px;background:#15181d}
   .pr-empty{position:absolute;inset:0;display:flex;align-items:center;
     justify-content:center;color:#98a2b3;text-align:center;padding:20px}
   .pr-large{position:fixed!important;left:10px;top:10px;z-index:400;width:52vw;
@@ -66,6 +69,7 @@
     </div>
     <div class="pr-view" tabindex="0"><canvas></canvas><div class="pr-marks"></div>
       <div class="pr-empty">Add a photo in the Data tab.</div></div>
+    <div class="pr-bar pr-crops"></div>
     <div class="pr-bar pr-foot"><span class="pr-hint"></span>
       <span class="pr-info"></span></div>`;
   const find = (selector) => root.querySelector(selector);
@@ -183,6 +187,7 @@
     paintMask();
     paintBox();
     paintMarks();
+    paintCrops(ratio);
     if (isBrush() && cursor) {
       draw2d.beginPath();
       draw2d.arc(cursor[0], cursor[1], radius() * scale, 0, 7);
@@ -221,6 +226,42 @@
       draw2d.strokeRect(...place);
     }
     draw2d.setLineDash([]);
+  }
+
+  // Where the other photo has the points that are still to be clicked in this one.
+  let cropsShown = "[]";
+  function paintCrops(ratio) {
+    const crops = state.crops ?? [];
+    const wanted = JSON.stringify(crops);
+    const wholes = crops.map(({ photo }) => image(`/photoreg/photo/${photo}/overview.jpg`));
+    if (wanted === cropsShown || wholes.includes(null)) return;
+    cropsShown = wanted;
+    find(".pr-crops").replaceChildren(
+      ...crops.map(({ n, name, u, v, width, height }, i) => {
+        const crop = document.createElement("canvas");
+        const half = CROP_PX / 2;
+        crop.width = crop.height = CROP_PX * ratio;
+        crop.title = `Point ${n} in ${name}`;
+        crop.setAttribute("role", "img");
+        crop.setAttribute("aria-label", crop.title);
+        const pen = crop.getContext("2d");
+        pen.scale(ratio, ratio);
+        const { naturalWidth, naturalHeight } = wholes[i];
+        pen.drawImage(wholes[i], half - ((u + 0.5) * naturalWidth) / width,
+          half - ((v + 0.5) * naturalHeight) / height);
+        pen.font = "bold 12px sans-serif";
+        for (const [colour, thick] of [["#000", 3], ["#ffd24d", 1.5]]) {
+          pen.strokeStyle = pen.fillStyle = colour;
+          pen.lineWidth = thick;
+          pen.beginPath();
+          pen.arc(half, half, 9, 0, 7);
+          pen.stroke();
+          if (thick > 2) pen.strokeText(n, half + 10, half - 8);
+          else pen.fillText(n, half + 10, half - 8);
+        }
+        return crop;
+      }),
+    );
   }
 
   function paintMarks() {

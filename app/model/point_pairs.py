@@ -119,6 +119,23 @@ def residuals_px(entry: PhotoEntry, camera: Camera) -> dict[int, float]:
     return {pair.number: float(d) for pair, d in zip(pairs, lengths, strict=True)}
 
 
+def to_be_clicked(
+    state: State,
+) -> list[tuple[int, PhotoEntry, tuple[float, float]]]:
+    """Points on the surface that the selected photo lacks: where another photo has them."""
+    entry, found = state.selected_photo, []
+    for pair in () if entry is None else entry.pairs:
+        if pair.pixel is not None or pair.world is None:
+            continue
+        for other in state.document.photos:
+            same = (p.pixel for p in other.pairs if p.world == pair.world and p.pixel)
+            pixel = next(same, None)
+            if pixel is not None:
+                found.append((pair.number, other, pixel))
+                break
+    return found
+
+
 def next_click(state: State) -> str:
     """What the person may do next, in one short sentence."""
     entry = state.selected_photo

@@ -25,6 +25,9 @@ from app.web.widgets import Tool, Tools
 from photoreg.errors import InputError
 from photoreg.resection.solver import N_POSE
 
+MAX_CROPS = 8
+"""Points of the other photo that are shown at once: two rows."""
+
 
 class PointsPanel:
     """The picker, the table of pairs, and what can be done with them."""
@@ -322,6 +325,20 @@ class PointsPanel:
                 "busy": not idle,
                 "chosen": state.chosen_pair,
                 "hint": point_pairs.next_click(state),
+                "crops": [
+                    {
+                        "n": number,
+                        "photo": self._pictures.photo_key(other.photo),
+                        "name": other.name,
+                        "u": pixel[0],
+                        "v": pixel[1],
+                        "width": other.photo.width,
+                        "height": other.photo.height,
+                    }
+                    for number, other, pixel in point_pairs.to_be_clicked(state)[
+                        :MAX_CROPS
+                    ]
+                ],
                 "pairs": [
                     {
                         "n": pair.number,

@@ -9,7 +9,8 @@ import trimesh
 from playwright.sync_api import expect
 
 from app.model.masks import decode_mask
-from app.model.session import select, setting, with_document
+from app.model.session import select, setting, with_document, with_entry
+from app.model.state import PointPair
 from app.scene.markers import WRONG
 from photoreg.geometry.projection_error import projection_error
 from tests.browser.driver import wait_until
@@ -200,3 +201,29 @@ def test_a_mask_is_loaded_from_a_picture_of_the_photo_s_shape(app, tmp_path):
     load("mask.png")
     wait_until(lambda: app.state.undo_name == "Load the mask mask.png", "loaded", 30)
     assert (decode_mask(entry_of(app).mask_png) == (picture > 0)).all()
+
+
+def test_points_of_the_other_photo_are_shown_as_crops_until_they_are_clicked(app):
+    driver, page = app.driver, app.driver.page
+    pairs = (
+        PointPair(1, (0.1, 0.2, 0.3), (40.0, 30.0)),
+        PointPair(2, (0.3, 0.1, 0.2), (100.0, 80.0)),
+    )
+    app.session.change("Points", with_entry(0, pairs=pairs))
+    app.session.change(None, select(1))
+    name = app.state.document.photos[0].name
+    page.get_by_role("button", name="Take the other photo's points").click()
+    first, second = (
+        page.get_by_role("img", name=f"Point {n} in {name}") for n in (1, 2)
+    )
+    expect(first).to_be_visible()
+    expect(second).to_be_visible()
+    # Within the circle, the crop shows the pixel that was clicked.
+    pixel = "c => [...c.getContext('2d').getImageData(c.width / 2, c.height / 2, 1, 1).data]"
+    shown = np.array(first.evaluate(pixel)[:3], float)
+    true = app.state.document.photos[0].photo.pixels[30, 40]
+    assert np.abs(shown - true).max() < 40, (shown, true)
+    driver.page.wait_for_function("() => photoreg.picker.ready()")
+    page.mouse.click(*in_picker(driver, (70, 50)))
+    expect(first).to_be_hidden()
+    expect(second).to_be_visible()

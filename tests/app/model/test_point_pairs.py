@@ -11,7 +11,7 @@ from app.engine.warm_up import toy_scene
 from app.model import point_pairs
 from app.model import session as rules
 from app.model.run import Run
-from app.model.session import Session
+from app.model.session import Session, select
 from app.model.state import Document, PhotoEntry, PointPair, State
 from app.panels.pair_table import pair_rows, table_html
 from photoreg.errors import InputError
@@ -110,6 +110,20 @@ def test_surface_points_of_one_photo_serve_the_other(session):
         session.change(
             "Take", point_pairs.with_surface_points_of("toy-1.png", "toy-0.png")
         )
+
+
+def test_points_to_be_clicked_are_told_where_the_other_photo_has_them(session):
+    surface(session, 1, 2, 3)
+    photo(session, 11, 12)
+    surface(session, 4, 5, 6)
+    assert point_pairs.to_be_clicked(session.state) == []
+    session.change("Take", point_pairs.with_surface_points_of("toy-1.png", "toy-0.png"))
+    session.change(None, select(1))
+    (told,) = point_pairs.to_be_clicked(session.state)
+    number, other, pixel = told
+    assert (number, other.name, pixel) == (1, "toy-0.png", (11, 12))
+    session.change("Point", point_pairs.with_photo_point("toy-1.png", (20, 21)))
+    assert point_pairs.to_be_clicked(session.state) == []
 
 
 def true_pairs(entry: PhotoEntry, mesh, n: int) -> tuple[PointPair, ...]:
