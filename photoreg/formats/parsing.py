@@ -148,7 +148,7 @@ def size_px(width: object, height: object, where: str) -> tuple[int, int]:
 
 
 def lens_of(where: str, *terms: float) -> Lens:
-    """A lens of k1, k2, p1, p2, k3; what is wrong with it is told with ``where``.
+    """A lens of k1, k2, p1, p2, k3; errors name ``where``.
 
     Raises:
         InputError: if the numbers are not those of a lens.
@@ -168,7 +168,7 @@ def camera_of(
     height: int,
     lens: Lens = IDEAL,
 ) -> Camera:
-    """A camera; what is wrong with it is told with ``where`` it was read.
+    """A camera; errors name ``where`` it was read.
 
     Raises:
         InputError: if the numbers are not a camera.

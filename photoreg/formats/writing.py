@@ -36,7 +36,7 @@ def write_files(
     """Writes files whole or not at all.
 
     Args:
-        contents: What each file shall hold. The first is the one that refers to the
+        contents: What each file is to hold. The first is the one that refers to the
             others, and is put in place last.
         inputs: Files that must stay as they are, beside those that the command read.
         overwrite: Whether files without photoreg's mark may be replaced.
@@ -210,7 +210,7 @@ def _in_the_way(
 
 
 def _holds(path: Path, content: Content | None) -> bool:
-    """Whether a file holds already what shall be written, so that nothing is lost."""
+    """Whether a file already holds what is to be written, so that nothing is lost."""
     if content is None or callable(content) or not path.is_file():
         return False
     if isinstance(content, Path):
@@ -252,7 +252,7 @@ def _folds_case(path: Path) -> bool:
         )
     trial = _unused(folder, "trial")
     try:
-        # Only writing tells: permission bits mislead for root and on network drives.
+        # Only a trial shows it: permission bits mislead for root and on network drives.
         trial.touch(exist_ok=False)
         folds = trial.with_name(trial.name.upper()).exists()
         trial.unlink()

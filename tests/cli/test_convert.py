@@ -80,7 +80,7 @@ def test_a_meshlab_project_names_mesh_and_photos_from_where_it_lies(folder, caps
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["--out", "somewhere"], "does not tell its format"),
+        (["--out", "somewhere"], "does not show its format"),
         (["--out", "a.mlp"], "Give the photos too"),
         (["--out", "a.json", "--from", "meshlab"], "is not XML"),
         (["--out", "a.json", "--from", "blender"], "cannot read"),

@@ -1,8 +1,8 @@
 """Bundler's bundle.out and its list of photos.
 
 World to camera in OpenGL's axes (y up, looking along -z), one focal length, two radial
-terms (k1 and k2), and the middle of the photo as principal point. The file tells neither the photos' names, which
-stand in a list beside it, nor their size, which is the photos' own.
+terms (k1 and k2), and the middle of the photo as principal point. The file holds neither
+the photos' names, which are in a list beside it, nor their sizes, which come from the photos.
 
 References:
     https://www.cs.cornell.edu/~snavely/bundler/bundler-v0.4-manual.html

@@ -44,7 +44,7 @@ class WorldMove:
     scale: float
     """Of the new world's units."""
     note: str
-    """The sentence, among the file's notes, that tells of it."""
+    """The sentence about it among the file's notes."""
 
     def undone(self, camera: Camera) -> Camera:
         """A camera as it was before."""
@@ -71,7 +71,7 @@ class CameraFile:
     notes: tuple[str, ...] = ()
     """A sentence for each thing that reading them had to assume."""
     moved: "WorldMove | None" = None
-    """What the cameras had been through before they were written, where a file tells."""
+    """What happened to the cameras before they were written, where a file says so."""
 
     def of_photo(self, name: str) -> Camera | None:
         """The camera of a photo, by file name; without regard to case if need be."""

@@ -47,7 +47,7 @@ def _is_model(folder: Path) -> bool:
 
 
 def _is_of_cameras(path: Path) -> bool:
-    """Whether a file's content is that of cameras, as far as its beginning tells."""
+    """Whether a file's content is that of cameras, as far as its beginning shows."""
     if path.suffix.lower() in (".json", ".sfm"):
         return format_of_json(path) is not None
     beginnings = {".mlp": b"<", ".xml": b"<", ".out": b"# Bundle file"}

@@ -5,7 +5,7 @@ TranslationVector is minus the camera centre, and pixels count from the lower le
 corner of the photo. MeshLab mirrors the principal point where it textures with OpenGL,
 so only one in the middle of the photo is read right by all its filters: a copy of the
 photo is padded until it is, and the rest of under half a pixel is turned into R.
-Padding is transparent, which MeshLab's projections can heed, and undone on reading:
+Padding is transparent, which MeshLab's projections respect, and is undone on reading:
 its measures stand in the copy's name, the photo's own name in the label.
 """
 
@@ -48,7 +48,7 @@ from photoreg.geometry.camera import Camera
 from photoreg.limits import Limits
 
 SMALL_SHIFT_PX = 0.05
-"""What turning the camera by the rest of a pixel may cost before it is told."""
+"""What turning the camera by the rest of a pixel may cost without being reported."""
 
 PADDED = re.compile(
     r"(?P<stem>.+)\.padded\.(?P<x>\d+)\.(?P<y>\d+)\.(?P<w>\d+)x(?P<h>\d+)\.png"

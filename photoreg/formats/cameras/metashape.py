@@ -7,8 +7,8 @@ and y = Y / Z, distorted to x' and y', a point appears at
 
     u = w / 2 + cx + x' (f + b1) + y' b2,    v = h / 2 + cy + y' f
 
-where (0.5, 0.5) is the centre of the first pixel. P1 and P2 stand for each other's terms
-of OpenCV. Photos without a transform were not aligned, and are left out.
+where (0.5, 0.5) is the centre of the first pixel. P1 is OpenCV's p2, and P2 is
+p1. Photos without a transform were not aligned and are left out.
 
 References:
     Agisoft, "Metashape User Manual, Professional Edition", appendix "Camera models".
@@ -130,7 +130,7 @@ def _cameras(
 
 
 def _photo(label: str, folder: Path, photos: dict[str, Path]) -> str:
-    """The photo's file name; labels lack the suffix unless somebody wants it."""
+    """The photo's file name; labels lack the suffix by default."""
     if is_photo(Path(label)):
         return label
     found = photo_of_stem(label, folder, photos)

@@ -1,8 +1,8 @@
 """nerfstudio's transforms.json: poses camera to world, in OpenGL's camera axes.
 
 The centre of the first pixel is at (0.5, 0.5), as in COLMAP. Poses are taken as they
-stand. An "applied_transform" that led to them is told: a mesh made from COLMAP's files is
-of the world before it.
+are. An "applied_transform" that led to them is reported: a mesh made from COLMAP's files
+is in the world before it.
 
 References:
     https://docs.nerf.studio/quickstart/data_conventions.html
@@ -143,7 +143,7 @@ def _moved_note(path: Path) -> str:
 
 
 def notes_of(path: Path) -> list[str]:
-    """What a transforms.json says that is not heeded, a sentence each."""
+    """What a transforms.json says that is ignored, a sentence each."""
     document = read_json(path, "camera file")
     notes = []
     if _is_moved(document):
@@ -202,7 +202,7 @@ def _cameras(
 
 
 def _with_named_terms(values: dict[str, Any]) -> dict[str, Any]:
-    """The same, with each of "distortion_params" by its name, which it outdoes."""
+    """The same, with each of "distortion_params" by its name, instead of any given there."""
     terms = values.get("distortion_params")
     if not isinstance(terms, list) or len(terms) != len(DISTORTION_PARAMS):
         return values
@@ -221,7 +221,7 @@ def _size(values: Mapping[str, Any], where: str, photo: Path | None) -> tuple[in
         return size_px(values["w"], values["h"], where)
     if photo is None:
         raise InputError(
-            f"{where}: the file does not tell the photo's size (w, h), and the photo is "
+            f"{where}: the file does not give the photo's size (w, h), and the photo is "
             "not beside it. Give the photos too."
         )
     return stored_size(photo)

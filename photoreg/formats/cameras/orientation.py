@@ -32,8 +32,8 @@ def cameras_as_displayed(
         program: The program, for sentences.
 
     Returns:
-        The cameras as displayed, and a sentence about those of which the photo's size
-        does not tell whether they were of the stored pixels.
+        The cameras as displayed, and a sentence about those where the photo's size does not
+        show whether they were of the stored pixels.
 
     Raises:
         InputError: if EXIF mirrors a photo.
@@ -51,8 +51,8 @@ def cameras_as_displayed(
     if not unsure:
         return turned, []
     return turned, [
-        f"{', '.join(unsure)}: EXIF turns what the file stores, and sizes do not tell "
-        f"whether {program} heeded that. The cameras were taken to be of the stored "
+        f"{', '.join(unsure)}: EXIF turns what the file stores, and sizes do not show "
+        f"whether {program} respected that. The cameras were taken to be of the stored "
         "pixels and turned; if the photo lies turned on the surface, give upright copies."
     ]
 
@@ -94,7 +94,7 @@ def _turned(name: str, camera: Camera, orientation: int) -> Camera:
     if orientation not in PROPER:
         raise InputError(
             f"{name} is mirrored by its EXIF orientation ({orientation}), so a camera of "
-            "its stored pixels is none of the photo as displayed. Save an upright copy "
+            "its stored pixels does not fit the photo as displayed. Save an upright copy "
             "of the photo and use that in both programs."
         )
     A, offset = _pixel_map(orientation, camera.width, camera.height)

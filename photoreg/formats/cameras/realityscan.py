@@ -1,4 +1,4 @@
-"""RealityScan's (formerly RealityCapture's) XMP files: one beside each photo, of its stem.
+"""RealityScan's (formerly RealityCapture's) XMP files: one beside each photo, with its stem.
 
 ``xcr:Rotation`` is R, row by row, and ``xcr:Position`` the camera's centre: a point X of the
 world stands at x = R (X - Position) before the camera, in OpenCV's axes. With s the photo's
@@ -8,14 +8,15 @@ larger side and d Brown's distortion of x / z, it appears at
     v = h / 2 + s (FocalLength35mm / 36 AspectRatio d_y + PrincipalPointV)
 
 where (0.5, 0.5) is the centre of the first pixel. ``xcr:DistortionCoeficients`` (so spelt)
-are k1 k2 k3 k4 t1 t2; t1 and t2 stand for each other's terms of OpenCV. The file tells
-neither the photo's name nor its size: both come from the photo.
+are k1 k2 k3 k4 t1 t2; t1 is OpenCV's p2, and t2 is p1. The file holds neither the photo's
+name nor its size: both come from the photo.
 
 Written files are marked "locked": RealityScan keeps their cameras as they are.
 
 Unclear, and refused: skew (its unit), the models "division" and "rational", coordinates
-"relative" or "rigid". Nothing says where in the first pixel (0, 0) is; the corner is where
-RealityScan's exports for programs that put it there have it.
+"relative" or "rigid". It is not documented whether (0, 0) is the corner or the centre of
+the first pixel; the corner is assumed, as in RealityScan's other exports, which put the
+principal point at width * 0.5.
 
 References:
     Capturing Reality, "RealityCapture XMP Camera Math" (pose and row order); the export
@@ -146,7 +147,7 @@ def load_realityscan(folder: Path, photos: dict[str, Path]) -> dict[str, Camera]
 
 
 def is_realityscan(path: Path) -> bool:
-    """Whether an XMP file holds a pose, as far as its beginning tells."""
+    """Whether an XMP file holds a pose, as far as its beginning shows."""
     with open_for_reading(path) as file:
         start = file.read(1 << 16)
     return NAMESPACE.encode() in start and b"Rotation" in start

@@ -77,7 +77,7 @@ class CameraFormat:
     is_of_stored_pixels: bool = True
     """Whether its programs pass over EXIF's orientation of photos."""
     notes_of: Callable[[Path], list[str]] = lambda _: []
-    """A sentence for each thing that a file says and that is not heeded."""
+    """A sentence for each thing in a file that is ignored."""
     move_of: Callable[[Path], WorldMove | None] = lambda _: None
     """How the cameras of a file were moved from the world where they were found."""
 
@@ -252,14 +252,13 @@ CAMERA_SUFFIXES = tuple(
         for suffix in known.suffixes
     )
 )
-"""Suffixes of all files that a set of cameras may consist of: first of those that are one
-by themselves."""
+"""Suffixes of all files that a set of cameras may consist of, those of single files first."""
 SINGLE_FILE_SUFFIXES = tuple(
     suffix
     for suffix in CAMERA_SUFFIXES
     if any(suffix in known.suffixes for known in _READ if not known.is_folder)
 )
-"""Suffixes of the files that are a set of cameras by themselves."""
+"""Suffixes of the files that hold a whole set of cameras."""
 
 
 def camera_format(name: str) -> CameraFormat:
@@ -279,7 +278,7 @@ def format_to_read(path: Path) -> CameraFormat:
     """The format of an existing file or folder, by its suffix and contents.
 
     Raises:
-        InputError: if it does not exist or is none that photoreg reads.
+        InputError: if it does not exist or is not a format that photoreg reads.
     """
     if not path.exists():
         raise InputError(f"The cameras {path} do not exist. Check the path.")
@@ -335,7 +334,7 @@ def format_to_write(path: Path) -> CameraFormat:
     """The format for a path to be written, by its suffix.
 
     Raises:
-        OutputError: if the suffix does not tell.
+        OutputError: if the suffix does not decide it.
     """
     if path.name == "transforms.json":
         return CAMERA_FORMATS["nerfstudio"]
@@ -351,7 +350,7 @@ def format_to_write(path: Path) -> CameraFormat:
     ]
     if not known or path.is_dir():
         raise OutputError(
-            f"The path {path} does not tell its format; name it, one of "
+            f"The path {path} does not show its format; name it, one of "
             f"{', '.join(WRITTEN_FORMATS)}."
         )
     return known[0]
@@ -430,7 +429,7 @@ def for_programs(
     """The cameras as a format's programs want them of photos that EXIF turns.
 
     Returns:
-        The cameras, and a sentence where there is none such.
+        The cameras, and a sentence about photos for which there is no such camera.
     """
     # MeshLab's writer makes upright copies of such photos.
     if not chosen.is_of_stored_pixels or chosen.name == "meshlab":

@@ -1,9 +1,9 @@
-"""texrecon's .cam files (MVE, mvs-texturing): one beside each photo, of its stem.
+"""texrecon's .cam files (MVE, mvs-texturing): one beside each photo, with its stem.
 
 "tx ty tz R00 ... R22", world to camera in OpenCV's axes, then "f d0 d1 aspect ppx
 ppy": the focal length by the photo's larger side as seen (pixels fy / fx high), the
 principal point as shares of width and height, from the corner of the first pixel.
-The file tells neither the photo's suffix nor its size: both are the photo's.
+The file holds neither the photo's suffix nor its size: both come from the photo.
 
 References:
     CameraInfo::fill_calibration in MVE; TextureView::get_pixel_coords in
