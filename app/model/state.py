@@ -468,10 +468,15 @@ class State:
         return self.run.status != "idle" or self.document_run is not None
 
     @property
-    def worn(self) -> Surface:
-        """What the object shows now; a texture that was made is shown by itself."""
+    def wears_run(self) -> bool:
+        """Whether the object shows what a run made; a texture is shown by itself."""
         is_textured = self.run.status == "idle" and self.texture_has_cameras
-        return self.surface if self.has_run_cameras and not is_textured else "clay"
+        return self.has_run_cameras and not is_textured
+
+    @property
+    def worn(self) -> Surface:
+        """What the object shows now."""
+        return self.surface if self.wears_run else "clay"
 
     @property
     def picture(self) -> bytes | None:

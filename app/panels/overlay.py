@@ -136,7 +136,7 @@ class OverlayPanel:
         if state.start_line is not None:
             put_value(self._line, state.start_line)
         surface = next(name for name, s in SURFACES.items() if s == state.surface)
-        put(self._surface, "visible", state.has_run_cameras)
+        put(self._surface, "visible", state.wears_run)
         put_value(self._surface, surface)
         self._show_comparison(state)
         self._show_curve(run.curve)

@@ -176,8 +176,8 @@ class RefinePanel:
         put(self._checks, "content", _checks(state) if idle and ready else "")
         put(self._start, "visible", idle)
         put(self._start, "disabled", not ready or state.job is not None)
-        is_next = idle and state.has_run_cameras and not state.texture_has_cameras
-        put(self._next, "visible", is_next and state.grade != "unconvincing")
+        is_next = idle and state.wears_run and state.grade != "unconvincing"
+        put(self._next, "visible", is_next)
         stopping = run.status == "stopping"
         paused = run.status == "paused"
         put(self._pause, "visible", run.is_active and not paused)
@@ -343,7 +343,8 @@ def _certainty(run: Run) -> str:
     if run.undetermined:
         weak = "".join(f"\n- {in_markdown(sentence)}" for sentence in run.undetermined)
         text += (
-            f"\n\n**Badly determined**\n{weak}\n\n*If you know one of these, set it in "
-            "tab 2 and tick it under What may move; a photo from another side helps too.*"
+            "\n\n**The photos leave something open.** If you know one of these, set it in "
+            "tab 2 and lock it under What may move. A photo from another side helps, too."
+            f"\n{weak}"
         )
     return text
