@@ -9,7 +9,7 @@ DATA ?=
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-shapes test-slow test-cluster test-interop crash fuzz lying-input load check format bench rooms licences docs screenshots clean
+.PHONY: help run test test-shapes test-slow test-oldest test-cluster test-interop crash fuzz lying-input load check format bench rooms licences docs screenshots clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -79,6 +79,10 @@ screenshots: .venv/.stamp-dev ## Take the README's pictures from the running app
 	@$(BIN)/python tests/browser/ensure_chromium.py
 	$(BIN)/python -m tests.browser.screenshots
 
+test-oldest: .venv/.stamp-oldest ## Run the tests, the browser's excepted, with the oldest versions that pyproject.toml permits
+	@.venv/oldest/bin/python -m tests.compile_kernels
+	.venv/oldest/bin/pytest -n 2 --dist loadfile --no-loadscope-reorder --ignore tests/browser --ignore tests/bench
+
 clean: ## Remove the environment and what tools left behind
 	rm -rf .venv build dist .pytest_cache .ruff_cache .hypothesis
 	find photoreg app tests -name __pycache__ -prune -exec rm -rf {} +
@@ -92,12 +96,19 @@ clean: ## Remove the environment and what tools left behind
 
 .venv/.stamp-app: .venv/.stamp-venv pyproject.toml
 	@echo "Installing photoreg into .venv (once; about a minute) ..."
-	@$(BIN)/pip install --quiet --disable-pip-version-check --editable .
+	@$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[app]'
 	@touch $@
 
 .venv/.stamp-dev: .venv/.stamp-app pyproject.toml
 	@echo "Installing the test tools into .venv (once) ..."
 	@$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+# uv, because pip always takes the newest.
+.venv/.stamp-oldest: .venv/.stamp-dev pyproject.toml
+	@echo "Installing the oldest versions into .venv/oldest (once) ..."
+	@$(PYTHON) -m venv .venv/oldest
+	@$(BIN)/uv pip install --quiet --python .venv/oldest --resolution lowest-direct --editable '.[dev]'
 	@touch $@
 
 .venv/.stamp-docs: .venv/.stamp-dev pyproject.toml

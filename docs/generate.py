@@ -166,6 +166,18 @@ def _file(path: str) -> str:
     return f"```python\n{text}\n```"
 
 
+def _notebook(path: str) -> str:
+    """The cells of a notebook, without its title."""
+    cells = json.loads((ROOT / path).read_text(encoding="utf-8"))["cells"]
+    sources = [(cell["cell_type"], "".join(cell["source"])) for cell in cells]
+    return "\n\n".join(
+        f"```python\n{source}\n```"
+        if kind == "code"
+        else re.sub(r"^# .*\n+", "", source)
+        for kind, source in sources
+    )
+
+
 def baseline(key: str) -> str:
     """A figure of the committed baseline, to two digits."""
     name, _, digits = key.partition(" ")
@@ -187,6 +199,7 @@ _WITH_ARGUMENT: dict[str, Callable[[str], str]] = {
     "figures": _sentence,
     "value": _value,
     "file": _file,
+    "notebook": _notebook,
     "baseline": baseline,
 }
 

@@ -16,7 +16,7 @@ from packaging.requirements import Requirement
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "licences.md"
 BEGIN, END = "<!-- licences: written by `make licences` -->", "<!-- end of licences -->"
-EXTRAS = ("cluster", "draco", "jxl", "report", "usd")
+EXTRAS = ("app", "cluster", "draco", "jxl", "report", "usd")
 """Extras that users install; the others are for developers."""
 
 Kind = Literal["permissive", "weak copyleft", "copyleft", "unknown"]

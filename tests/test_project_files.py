@@ -1,16 +1,23 @@
 """What the project says of itself beside the README: citation, contributing, metadata."""
 
+import ast
+import importlib.metadata
 import re
+import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 import yaml
+from packaging.requirements import Requirement
 
 import photoreg
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+FOR_THE_ENGINE = ("cluster", "draco", "jxl", "report", "usd")
+"""Extras that let the engine do more."""
+
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text()
 
 
@@ -25,6 +32,52 @@ def test_the_citation_is_of_this_version_and_names_the_paper() -> None:
     assert names == ["Jankó", "Chetverikov"]
     assert paper["year"] == 2004
     assert paper["title"].startswith("Photo-Consistency Based Registration")
+
+
+def named_packages(requirements: list[str]) -> set[str]:
+    """The packages of requirements that hold without an extra, in small letters."""
+    found = map(Requirement, requirements)
+    return {
+        wanted.name.lower()
+        for wanted in found
+        if not wanted.marker or wanted.marker.evaluate({"extra": ""})
+    }
+
+
+def imported_packages(folder: Path) -> set[str]:
+    """The packages that the modules of a folder import, as an index names them."""
+    packages = importlib.metadata.packages_distributions()
+    modules = set()
+    for path in folder.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.Import):
+                modules |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                modules.add(node.module)
+    roots = {name.partition(".")[0] for name in modules} - sys.stdlib_module_names
+    names = [packages.get(root, [root])[0] for root in roots - {"app", "photoreg"}]
+    return {name.lower().replace("_", "-") for name in names}
+
+
+def test_the_engine_depends_on_what_it_imports() -> None:
+    always = named_packages(PROJECT["dependencies"])
+    extras = PROJECT["optional-dependencies"]
+    by_choice = named_packages(
+        [package for name in FOR_THE_ENGINE for package in extras[name]]
+    )
+    imported = imported_packages(ROOT / "photoreg")
+    # Distributed brings Dask.
+    assert imported - {"dask"} <= always | by_choice
+    assert len(imported) > 15
+
+
+def test_the_app_depends_on_what_it_imports() -> None:
+    own = named_packages(PROJECT["optional-dependencies"]["app"])
+    # Of one version of viser, so that what comes with it is known.
+    with_viser = named_packages(importlib.metadata.requires("viser") or [])
+    imported = imported_packages(ROOT / "app")
+    assert imported <= own | with_viser | named_packages(PROJECT["dependencies"])
+    assert own <= imported
 
 
 @pytest.mark.parametrize("package", ["photoreg", "app"])

@@ -68,14 +68,15 @@ def find_app() -> Callable[..., int]:
     """The function that serves the app until it is interrupted; it returns the exit status.
 
     Raises:
-        InputError: if no app is installed, or another module has its name.
+        InputError: if no app is installed, if packages that it needs are missing, or if
+            another module has its name.
     """
     found = importlib.metadata.entry_points(group=ENTRY_POINTS, name=BROWSER_APP)
     if not found:
         raise InputError(
             "The browser app is not installed here. Install photoreg anew: "
-            "pip install --force-reinstall --no-deps photoreg (in a checkout: pip "
-            "install --editable .)."
+            "pip install --force-reinstall 'photoreg[app]' (in a checkout: pip install "
+            "--editable '.[app]')."
         )
     entry = next(iter(found))
     package = entry.module.partition(".")[0]
@@ -83,8 +84,15 @@ def find_app() -> Callable[..., int]:
         with ctrl_c_ends_at_once():
             return entry.load()
     except ModuleNotFoundError as error:
-        if error.name is None or error.name.partition(".")[0] != package:
+        missing = (error.name or "").partition(".")[0]
+        if missing in ("", "photoreg"):
             raise
+        if missing != package:
+            raise InputError(
+                f"The browser app needs {missing}, which is not installed; install the "
+                "app's packages: pip install 'photoreg[app]' (in a checkout: pip install "
+                "'.[app]')."
+            ) from error
         raise InputError(
             f"The browser app could not be started: {error}. Another module named "
             f"{package} comes before it on Python's path; look for it in the folders "

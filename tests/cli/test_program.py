@@ -142,3 +142,50 @@ def test_unsafe_access_is_refused_in_a_sentence(
     words = ["app", "--no-browser", *arguments]
     assert commands.run(words) == 2
     assert sentence in " ".join(capfd.readouterr().err.split())
+
+
+WITHOUT_THE_APP_S_PACKAGES = (
+    "import sys; sys.modules.update(idna=None, platformdirs=None, viser=None);"
+)
+
+
+@pytest.mark.parametrize("arguments", [[], ["app", "mesh.ply"]])
+def test_without_the_app_s_packages_a_sentence_says_what_to_install(
+    tmp_path: Path, arguments: list[str]
+) -> None:
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            WITHOUT_THE_APP_S_PACKAGES
+            + "from photoreg.__main__ import main; sys.exit(main())",
+            *arguments,
+        ],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    told = " ".join(done.stderr.split())
+    assert re.search(r"The browser app needs (idna|platformdirs|viser), which", told)
+    assert "pip install 'photoreg[app]'" in told
+    assert told.count(". ") == 0, "one sentence"
+    assert "Traceback" not in told
+
+
+def test_the_engine_needs_none_of_the_app_s_packages() -> None:
+    program = (
+        "import importlib, pkgutil, photoreg;"
+        "names = [m.name for m in pkgutil.walk_packages(photoreg.__path__, 'photoreg.')];"
+        "[importlib.import_module(n) for n in names if n != 'photoreg.__main__'];"
+        "print(len(names))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_THE_APP_S_PACKAGES + program],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) > 100

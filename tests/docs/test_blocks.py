@@ -67,7 +67,9 @@ def test_commands_are_those_of_the_parser_and_of_the_makefile() -> None:
                     targets = [word for word in arguments if "=" not in word]
                     assert {*targets} <= {*TARGETS}, (block.page, words)
                 case "pip":
-                    named = re.findall(r"photoreg\[([\w,]+)\]", " ".join(arguments))
+                    named = re.findall(
+                        r"(?:photoreg|\.)\[([\w,]+)\]", " ".join(arguments)
+                    )
                     assert {e for n in named for e in n.split(",")} <= {*EXTRAS}
                 case "python":
                     assert arguments[0] == "-c"
@@ -115,7 +117,12 @@ def test_the_commands_of_a_page_run_in_their_order(
     for block in [Block(page.name, "sh", before), *blocks(page)]:
         if block.language == "python":
             exec(compile(block.text, page.name, "exec"), {"__name__": "__main__"})
-        for words in words_of(block.text if block.language == "sh" else ""):
+        for line in words_of(block.text if block.language == "sh" else ""):
+            words = [
+                str(name)
+                for word in line
+                for name in sorted(Path().glob(word) if "*" in word else ()) or [word]
+            ]
             match words:
                 case ["cd", folder]:
                     monkeypatch.chdir(folder)

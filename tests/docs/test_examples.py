@@ -1,11 +1,17 @@
 """The examples of the documentation do what they say."""
 
+import json
 import re
 import runpy
 import shutil
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+import viser.transforms
+
+from tests.batch.collections import make_collection
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "docs" / "examples"
@@ -47,6 +53,40 @@ def test_a_camera_from_points_is_near_the_truth(
 def test_the_model_is_written(demo: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "of the surface is seen" in printed("textured_model.py", capsys)
     assert (demo / "shell.glb").read_bytes().startswith(b"glTF")
+
+
+def test_the_notebook_shows_the_cameras_in_viser_and_moves_them(
+    demo: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    notebook = json.loads((EXAMPLES / "look_at_cameras.ipynb").read_text("utf-8"))
+    cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    assert not any(cell["outputs"] or cell["execution_count"] for cell in cells)
+    names: dict[str, Any] = {}
+    try:
+        for cell in cells:
+            exec("".join(cell["source"]), names)
+        assert "http://127.0.0.1:" in capsys.readouterr().out
+        for frustum, camera in zip(
+            names["frusta"], names["event"].cameras, strict=True
+        ):
+            np.testing.assert_allclose(frustum.position, camera.center)
+            R_world_cam = viser.transforms.SO3(frustum.wxyz).as_matrix()
+            np.testing.assert_allclose(R_world_cam, camera.R_cam_world.T, atol=1e-9)
+        assert names["event"].generation > 0
+    finally:
+        names["server"].stop()
+
+
+@pytest.mark.slow
+def test_a_folder_of_objects_is_refined_on_dask(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make_collection(tmp_path / "objects", 2)
+    monkeypatch.chdir(tmp_path)
+    said = printed("batch_on_dask.py", capsys)
+    assert len(re.findall(r"^object 000[01]: ", said, re.MULTILINE)) == 2
+    assert (tmp_path / "results" / "object 0001" / "cameras.json").is_file()
+    assert (tmp_path / "results" / "index.html").is_file()
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import tifffile
-from PIL import Image
+from PIL import ExifTags, Image
 
 D65 = (0.3127, 0.3290)
 D50 = (0.3457, 0.3585)
@@ -22,6 +22,11 @@ PROPHOTO = ((0.7347, 0.2653), (0.1596, 0.8404), (0.0366, 0.0001), D50)
 REC2020 = ((0.708, 0.292), (0.170, 0.797), (0.131, 0.046), D65)
 
 Primaries = tuple[tuple[float, float], ...]
+
+
+def details_of(exif: Image.Exif) -> dict[int, Any]:
+    """The camera's own part of EXIF, to be filled; older Pillow keeps what it has read only."""
+    return exif._ifds.setdefault(ExifTags.IFD.Exif, {})
 
 
 def xyz_of_xy(xy: tuple[float, float]) -> np.ndarray:

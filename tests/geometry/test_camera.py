@@ -117,7 +117,7 @@ def test_a_singular_projection_matrix_is_refused():
 def test_a_camera_is_the_same_after_quaternions_and_not_a_millionth_of_a_pixel_on(
     camera,
 ):
-    turned = Rotation.from_matrix(camera.R_cam_world).as_quat() * (1.0 + 1e-15)
+    turned = Rotation.from_matrix(camera.R_cam_world.copy()).as_quat() * (1.0 + 1e-15)
     back = dataclasses.replace(
         camera,
         R_cam_world=Rotation.from_quat(turned).as_matrix(),

@@ -59,10 +59,14 @@ def test_undistorting_is_opencvs_and_the_way_back(lens: Lens) -> None:
     origin, rays = camera.rays(pixels)
     np.testing.assert_allclose(camera.project(origin + 3.0 * rays), pixels, atol=1e-9)
     x_y = np.linalg.solve(camera.K, np.vstack([pixels.T, np.ones(len(pixels))]))[:2].T
-    theirs = cv2.undistortPoints(
+    # OpenCV 4 has another function for the one that takes criteria.
+    undistort = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
+    theirs = undistort(
         x_y[:, None],
         np.eye(3),
         np.array(lens.terms),
+        R=np.eye(3),
+        P=np.eye(3),
         criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 1000, 1e-15),
     )[:, 0]
     ours = camera.undistort(pixels)

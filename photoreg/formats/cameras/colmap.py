@@ -272,7 +272,8 @@ def _cameras(
                 f"{where}: its rotation should be a unit quaternion, but is "
                 f"{norm:.3g} long."
             )
-        R = Rotation.from_quat(image.quaternion, scalar_first=True).as_matrix()
+        w, x, y, z = image.quaternion
+        R = Rotation.from_quat([x, y, z, w]).as_matrix()
         K, distortion = _intrinsics(lens, where)
         size = lens.width, lens.height
         yield image.name, camera_of(where, K, R, image.t, *size, distortion)
@@ -314,9 +315,10 @@ def _model(camera: Camera) -> tuple[int, list[float]]:
 
 
 def _quaternion(camera: Camera) -> list[float]:
-    # A copy: scipy 1.14 takes no read-only array.
+    # A copy: older scipy takes no read-only array.
     rotation = Rotation.from_matrix(camera.R_cam_world.copy())
-    return rotation.as_quat(canonical=True, scalar_first=True).tolist()
+    x, y, z, w = rotation.as_quat(canonical=True).tolist()
+    return [w, x, y, z]
 
 
 def _lines(

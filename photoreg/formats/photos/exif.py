@@ -65,8 +65,11 @@ def facts_of(
     """
     orientation = _tag(exif.get, ExifTags.Base.Orientation)
     try:
-        get = exif.get_ifd(ExifTags.IFD.Exif).get
-        interop = exif.get_ifd(ExifTags.IFD.Interop).get(1)
+        details = exif.get_ifd(ExifTags.IFD.Exif)
+        get, interop = details.get, None
+        # Older Pillow looks for what is not there.
+        if ExifTags.IFD.Interop in details:
+            interop = exif.get_ifd(ExifTags.IFD.Interop).get(1)
     except Exception:  # noqa: BLE001 - broken EXIF is common, and only a hint.
         get, interop = {}.get, None
     crop = _crop(get, width, height, is_raw)

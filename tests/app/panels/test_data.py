@@ -10,6 +10,7 @@ from app.model.camera_moves import first_camera
 from app.model.state import PhotoEntry
 from app.panels.data import focal_text
 from photoreg.formats.photos.read import load_photo
+from tests.formats.photo_files import details_of
 
 
 def test_a_card_says_where_the_focal_length_came_from_and_that_a_photo_is_cropped(
@@ -18,7 +19,7 @@ def test_a_card_says_where_the_focal_length_came_from_and_that_a_photo_is_croppe
     texts = []
     for name, size in (("whole.jpg", (400, 300)), ("part.jpg", (200, 280))):
         exif = Image.Exif()
-        details = exif.get_ifd(ExifTags.IFD.Exif)
+        details = details_of(exif)
         details[ExifTags.Base.FocalLengthIn35mmFilm] = 28
         details[ExifTags.Base.ExifImageWidth] = 400
         details[ExifTags.Base.ExifImageHeight] = 300

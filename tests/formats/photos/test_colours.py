@@ -23,6 +23,7 @@ from tests.formats.photo_files import (
     bradford,
     chrm,
     coded,
+    details_of,
     gama,
     icc_profile,
     png_16,
@@ -206,7 +207,7 @@ def cmyk_profile() -> bytes:
 def test_a_cmyk_profile_is_converted(tmp_path, suffix):
     path = tmp_path / f"p{suffix}"
     inks = np.dstack([eight_bits(1.0 - chart()), np.zeros((32, 64), np.uint8)])
-    picture = Image.fromarray(inks, "CMYK")
+    picture = Image.frombytes("CMYK", inks.shape[1::-1], inks.tobytes())
     more = {} if suffix == ".tif" else {"quality": 100, "subsampling": 0}
     picture.save(path, None, icc_profile=cmyk_profile(), **more)
     error = colour_error(read(path), chart())
@@ -215,8 +216,8 @@ def test_a_cmyk_profile_is_converted(tmp_path, suffix):
 
 def test_a_camera_s_mark_of_adobe_rgb_counts_where_there_is_no_profile(tmp_path):
     exif = Image.Exif()
-    exif.get_ifd(0x8769)[0xA001] = 65535
-    exif.get_ifd(0x8769)[0xA005] = {1: "R03\0"}
+    details_of(exif)[0xA001] = 65535
+    details_of(exif)[0xA005] = {1: "R03\0"}
     soft = np.kron(0.2 + 0.6 * chart()[::4, ::4], np.ones((16, 16, 1)))
     Image.fromarray(eight_bits(coded(soft, ADOBE_RGB, 563 / 256))).save(
         tmp_path / "p.jpg", exif=exif, quality=98, subsampling=0

@@ -6,6 +6,7 @@ import pytest
 from PIL import Image
 
 from photoreg.formats.photos.exif import PhotoFacts, facts_of
+from tests.formats.photo_files import details_of
 
 NAMES = {
     "mm": 0x920A,
@@ -21,7 +22,7 @@ NAMES = {
 def facts(size: tuple[int, int] = (3600, 2400), **tags: Any) -> PhotoFacts:
     exif = Image.Exif()
     for name, value in tags.items():
-        exif.get_ifd(0x8769)[NAMES[name]] = value
+        details_of(exif)[NAMES[name]] = value
     return facts_of(exif, b"", *size)
 
 

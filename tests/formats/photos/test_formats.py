@@ -16,7 +16,7 @@ from photoreg.formats.photos.decoding import read_header
 from photoreg.formats.photos.read import load_photo
 from photoreg.formats.photos.registry import PHOTO_FORMATS, PHOTO_SUFFIXES
 from photoreg.limits import Limits
-from tests.formats.photo_files import write_dng
+from tests.formats.photo_files import details_of, write_dng
 
 PILLOW_NAMES = {
     ".jpg": "JPEG",
@@ -291,11 +291,11 @@ def test_what_is_marked_as_no_pinhole_photo_is_refused(tmp_path, suffix, mark, w
 
 def test_a_fisheye_lens_and_a_phone_s_panorama_are_refused(tmp_path):
     exif = Image.Exif()
-    exif.get_ifd(0x8769)[0xA434] = "EF8-15mm f/4L FISHEYE USM"
+    details_of(exif)[0xA434] = "EF8-15mm f/4L FISHEYE USM"
     Image.fromarray(blocks()).save(tmp_path / "p.jpg", exif=exif)
     assert "a fisheye (EF8-15mm" in refused(tmp_path / "p.jpg")
     exif = Image.Exif()
-    exif.get_ifd(0x8769)[0xA401] = 6
+    details_of(exif)[0xA401] = 6
     Image.fromarray(blocks()).save(tmp_path / "p.jpg", exif=exif)
     assert "a panorama" in refused(tmp_path / "p.jpg")
 

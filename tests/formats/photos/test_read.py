@@ -5,6 +5,7 @@ from PIL import Image
 from photoreg.errors import InputError
 from photoreg.formats.photos.read import load_photo
 from photoreg.imaging.photo import Photo
+from tests.formats.photo_files import details_of
 
 
 def gradient(width=48, height=32) -> np.ndarray:
@@ -34,7 +35,7 @@ def test_exif_orientation_is_applied(tmp_path, orientation, turns):
 def test_focal_length_comes_from_the_35_mm_equivalent(tmp_path):
     path = tmp_path / "lens.jpg"
     exif = Image.Exif()
-    exif.get_ifd(0x8769)[0xA405] = 50
+    details_of(exif)[0xA405] = 50
     Image.fromarray(gradient(360, 240)).save(path, exif=exif)
     # 3:2 like the film: 36 mm are 360 px, so 50 mm are 500 px.
     assert load_photo(path).exif_focal_px == pytest.approx(500.0)
