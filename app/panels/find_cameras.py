@@ -13,8 +13,8 @@ from app.web.controls import guarded, put
 from app.web.widgets import SMALL_BUTTON, Tool, Tools, help_line
 
 HELP = (
-    "By the object's outline: it should stand before a plain background, or have a mask or "
-    "a box around it. Cameras that somebody has placed stay."
+    "By the object's outline before a plain background, in a mask or a box; elsewhere by "
+    "what several photos show alike. Cameras that somebody has placed stay."
 )
 BOX_HTML = help_line(
     'Much behind the object? <button title="Opens the photo at the left, to drag the box" '

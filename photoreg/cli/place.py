@@ -64,8 +64,9 @@ def place_command(
     """Find rough cameras without a click, by the object's outline and its colours.
 
     It works where the object stands before a plain background, or has a mask (the
-    photo's opacity) or a box around it. Where it is unsure it says so, writes the most
-    likely cameras and ends with status 2; refine them only if they look right.
+    photo's opacity) or a box around it; and before any other where two photos or more show
+    the same details. Where it is unsure it says so, writes the most likely cameras and
+    ends with status 2; refine them only if they look right.
 
     Args:
         mesh: The scanned surface: OBJ, PLY, STL, GLB or OFF.
@@ -127,7 +128,7 @@ def place_command(
                     "grade": placement.grade,
                     "sentence": placement.sentence,
                     "overlap": placement.overlap,
-                    "segmented_by": placement.how,
+                    "found_by": placement.how,
                     "candidates": len(placement.candidates),
                 }
                 for photo, placement in zip(pictures, placed.placements, strict=True)

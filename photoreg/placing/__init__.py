@@ -1,1 +1,1 @@
-"""Cameras found without a click, from outlines and colours; not yet precise."""
+"""Cameras found without a click, from outlines, colours and common points; not yet precise."""

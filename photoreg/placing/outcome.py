@@ -7,8 +7,9 @@ from photoreg.geometry.camera import Camera
 
 PlacingGrade = Literal["found", "unsure", "not found"]
 
-How = Literal["mask", "box", "plain", "clutter"]
-"""What told the object from its background; by "clutter" it is a guess."""
+How = Literal["mask", "box", "plain", "clutter", "common points"]
+"""What told the object from its background, by "clutter" a guess; or what several photos
+show alike, which needs no background."""
 
 Box = tuple[float, float, float, float]
 """Left, top, width and height in pixels of the photo."""

@@ -39,7 +39,7 @@ def test_cameras_are_found_and_refined_without_any_being_given(tmp_path, capsys)
     assert run(["place", *paths, *asked]) == 0
     figures = json.loads(capsys.readouterr().out)
     assert figures["grade"] == "found"
-    assert {one["segmented_by"] for one in figures["photos"].values()} == {"plain"}
+    assert {one["found_by"] for one in figures["photos"].values()} == {"plain"}
     assert error_px(scene, out) < 5.0
     pictures = sorted(drawn.iterdir())
     assert 2 <= len(pictures) <= 6
@@ -112,6 +112,6 @@ def test_a_mask_in_the_photo_says_where_the_object_is(tmp_path, capsys):
     out = tmp_path / "rough.json"
     assert run(["place", mesh, *masked, "--out", str(out), "--json"]) == 0
     figures = json.loads(capsys.readouterr().out)
-    assert {one["segmented_by"] for one in figures["photos"].values()} == {"mask"}
+    assert {one["found_by"] for one in figures["photos"].values()} == {"mask"}
     scene = dataclasses.replace(scene, mesh=scene.true_mesh)
     assert error_px(scene, out) < 5.0
