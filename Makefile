@@ -9,7 +9,7 @@ DATA ?=
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-shapes test-slow test-oldest test-cluster test-interop crash fuzz lying-input load check format bench rooms licences docs screenshots clean
+.PHONY: help run test test-shapes test-slow test-oldest test-cluster test-interop crash fuzz lying-input load check format bench rooms licences docs screenshots release clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -82,6 +82,9 @@ screenshots: .venv/.stamp-dev ## Take the README's pictures from the running app
 test-oldest: .venv/.stamp-oldest ## Run the tests, the browser's excepted, with the oldest versions that pyproject.toml permits
 	@.venv/oldest/bin/python -m tests.compile_kernels
 	.venv/oldest/bin/pytest -n 2 --dist loadfile --no-loadscope-reorder --ignore tests/browser --ignore tests/bench
+
+release: .venv/.stamp-dev ## Build wheel and sdist of the last commit into dist, and try both in empty environments (minutes)
+	$(BIN)/python -m tests.release
 
 clean: ## Remove the environment and what tools left behind
 	rm -rf .venv build dist .pytest_cache .ruff_cache .hypothesis
