@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from photoreg.registration.events import Progress as Progress
     from photoreg.registration.refinement import refine as refine
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _MODULES = {
     "Camera": "photoreg.geometry.camera",

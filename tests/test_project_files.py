@@ -34,6 +34,18 @@ def test_the_citation_is_of_this_version_and_names_the_paper() -> None:
     assert paper["title"].startswith("Photo-Consistency Based Registration")
 
 
+def test_the_changelog_has_this_version_below_what_is_unreleased() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    headings = re.findall(r"^## (.+)$", (ROOT / "CHANGELOG.md").read_text(), re.M)
+    this = f"{photoreg.__version__} - {citation['date-released']}"
+    assert headings[:2] == ["Unreleased", this]
+
+
+def test_the_image_for_kubernetes_is_of_this_version() -> None:
+    page = (ROOT / "docs" / "batch" / "kubernetes.md").read_text()
+    assert re.findall(r"/photoreg:([\d.]+)", page) == [photoreg.__version__]
+
+
 def named_packages(requirements: list[str]) -> set[str]:
     """The packages of requirements that hold without an extra, in small letters."""
     found = map(Requirement, requirements)
