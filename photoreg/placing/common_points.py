@@ -113,6 +113,7 @@ def place_by_points(
         told = [focals_px.get(one.name, one.exif_focal_px) for one in both]
         is_known = None not in told
         factors = NEARLY if is_known else FOCALS
+        found = []
         for j, factor in enumerate(factors):
             done = (k + j / len(factors)) / min(len(pairs), MOST_PAIRS)
             words = f"fitting the mesh to {both[0].name} and {both[1].name}"

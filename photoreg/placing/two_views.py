@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 
 from photoreg.geometry.camera import Camera, centred_intrinsics, reduced_size
 from photoreg.geometry.rotations import rotation_matrix
-from photoreg.imaging.photo import MIN_SIDE_PX, Photo
+from photoreg.imaging.photo import MIN_SIDE_PX, Photo, resized_mask
 
 SIDE_PX = 1024
 """Features are looked for at this many pixels on the longer side at most."""
@@ -57,7 +57,7 @@ class TwoViews:
 
 
 def features_of(photo: Photo) -> Features:
-    """The SIFT features of a photo.
+    """The SIFT features of a photo, of what its mask lets count.
 
     References:
         D. G. Lowe, IJCV 60(2), 2004, DOI 10.1023/B:VISI.0000029664.99615.94.
@@ -65,7 +65,9 @@ def features_of(photo: Photo) -> Features:
     size = reduced_size(photo.width, photo.height, SIDE_PX, MIN_SIDE_PX)
     grey = cv2.cvtColor(photo.pixels_at(size), cv2.COLOR_RGB2GRAY)
     sift = cv2.SIFT.create(0, contrastThreshold=LEAST_CONTRAST)
-    found = _spread(sift.detect(grey, None), size)
+    mask = resized_mask(photo, size)
+    counts = None if mask is None else mask.astype(np.uint8)
+    found = _spread(sift.detect(grey, counts), size)
     found, descriptors = sift.compute(grey, found)
     if descriptors is None:
         return Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32))

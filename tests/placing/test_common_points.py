@@ -65,6 +65,15 @@ def test_two_photos_tell_their_relative_pose_and_points_up_to_scale(scene, featu
     assert np.percentile(ratio, 75) - np.percentile(ratio, 25) < 0.05
 
 
+def test_what_a_mask_leaves_out_has_no_features(scene, features):
+    photo = scene.photos[0]
+    left = np.indices(photo.pixels.shape[:2])[1] < 200
+    masked = features_of(dataclasses.replace(photo, mask=left)).pixels
+    assert len(masked) > 100
+    assert masked[:, 0].max() < 201.0
+    assert features[0].pixels[:, 0].max() > 400.0
+
+
 def test_photos_of_nothing_in_common_tell_nothing(scene):
     grey = Photo("grey.png", np.full((120, 160, 3), 90, np.uint8))
     nothing = features_of(grey)
