@@ -5,7 +5,7 @@ import inspect
 
 import viser
 
-from app.web.controls import put
+from app.web.controls import guarded_all, put
 
 
 class ButtonCommands:
@@ -29,6 +29,7 @@ def _command(gui: viser.GuiApi, button: viser.GuiButtonHandle) -> viser.CommandH
     command = gui.add_command(button.label, description=button.hint)
 
     @command.on_trigger
+    @guarded_all
     async def _(event: viser.CommandEvent) -> None:
         if command.disabled:
             return

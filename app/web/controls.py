@@ -52,6 +52,24 @@ def guarded(
     return run
 
 
+def guarded_all(
+    callback: Callable[[Any], Coroutine[Any, Any, None]],
+) -> Callable[[Any], Coroutine[Any, Any, None]]:
+    """The same for a callback that waits for others, of either kind."""
+
+    @functools.wraps(callback)
+    async def run(event: Any) -> None:
+        if event.client is None:
+            return
+        try:
+            await callback(event)
+        except Exception as error:  # noqa: BLE001 - nothing may vanish here.
+            if not has_left(event.client, error):
+                report(event.client, _name(callback), error)
+
+    return run
+
+
 def guarded_slow(callback: Callable[[Any], None]) -> Callable[[Any], None]:
     """The same for callbacks that read or write files: on a thread of viser's pool."""
 

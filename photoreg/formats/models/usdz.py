@@ -27,6 +27,7 @@ from photoreg.formats.models.encode_texture import (
 )
 from photoreg.formats.models.split_vertices import origin_to_write, source_files
 from photoreg.formats.writing import NOTHING, Content, check_suffix, write_files
+from photoreg.sources import read_regular
 from photoreg.texture.bake import TexturedMesh
 
 
@@ -82,7 +83,7 @@ def textured_usdz(textured: TexturedMesh, picture: PictureKind = "png") -> bytes
         _write_layer(layer, image.name, textured)
         if not utils.CreateNewARKitUsdzPackage(str(layer), str(package)):
             raise OutputError("usd-core could not write the USDZ; write a GLB instead.")
-        return package.read_bytes()
+        return read_regular(package)
 
 
 def _write_layer(path: Path, image_name: str, textured: TexturedMesh) -> None:
