@@ -93,12 +93,24 @@ def with_up_axis(state: State, choice: UpAxis) -> State:
 
 
 def moved_photos(document: Document) -> list[PhotoEntry]:
-    """The photos whose cameras are no longer as they were first put."""
-    placed: list[Camera] = []
+    """The photos whose cameras are no longer as they were first put.
+
+    A photo is put beside those before it: as these stand, or as they stood before they
+    were moved themselves.
+    """
+    now: list[Camera] = []
+    at_first: list[Camera] = []
     moved = []
     for entry in document.photos:
-        first = first_camera(document.mesh, entry.photo, document.up, tuple(placed))
-        if not same_camera(entry.camera, first):
+        beside_now, beside_first = (
+            first_camera(document.mesh, entry.photo, document.up, tuple(others))
+            for others in (now, at_first)
+        )
+        if not (
+            same_camera(entry.camera, beside_now)
+            or same_camera(entry.camera, beside_first)
+        ):
             moved.append(entry)
-        placed.append(entry.camera)
+        now.append(entry.camera)
+        at_first.append(beside_first)
     return moved

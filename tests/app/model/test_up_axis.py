@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from app.model.camera_moves import first_camera
+from app.model.camera_moves import first_camera, orbited
 from app.model.state import Document, PhotoEntry, State
-from app.model.up_axis import Y_UP, Z_UP, guessed_up, with_up_axis
+from app.model.up_axis import Y_UP, Z_UP, guessed_up, moved_photos, with_up_axis
+from photoreg.geometry.camera import Camera
 from photoreg.geometry.mesh import Mesh
+from photoreg.geometry.rotations import rotation_matrix
 from photoreg.imaging.photo import Photo
 
 RNG = np.random.default_rng(5)
@@ -58,6 +60,33 @@ def test_gltf_and_what_tells_nothing_have_y_upwards():
 def test_the_flat_back_of_a_relief_is_no_ground():
     relief = trimesh.creation.box((4.0, 3.0, 0.3))
     assert guessed_up(mesh_of(relief.subdivide()))[0] == Y_UP
+
+
+def test_moving_the_first_camera_moves_no_other():
+    mesh = mesh_of(lump_on_a_plinth())
+    photos = [Photo(f"{i}.png", np.zeros((60, 80, 3), np.uint8)) for i in range(3)]
+    firsts: list[Camera] = []
+    for photo in photos:
+        firsts.append(first_camera(mesh, photo, Y_UP, tuple(firsts)))
+    entries = tuple(map(PhotoEntry, photos, firsts))
+    document = Document(mesh, mesh, entries, up=Y_UP)
+    assert moved_photos(document) == []
+    middle = mesh.bounds.mean(axis=0)
+    turned = orbited(firsts[0], middle, rotation_matrix(np.radians([0.0, 50.0, 0.0])))
+    first = dataclasses.replace(entries[0], camera=turned)
+    document = dataclasses.replace(document, photos=(first, *entries[1:]))
+    assert moved_photos(document) == [first]
+    # One that came after the first was moved stands beside where that is now.
+    late = Photo("late.png", np.zeros((60, 80, 3), np.uint8))
+    others = (turned, *firsts[1:])
+    entry = PhotoEntry(late, first_camera(mesh, late, Y_UP, others))
+    document = dataclasses.replace(document, photos=(*document.photos, entry))
+    assert moved_photos(document) == [first]
+    at_hand = PhotoEntry(
+        late, dataclasses.replace(entry.camera, t_cam_world=turned.center)
+    )
+    document = dataclasses.replace(document, photos=(*document.photos[:3], at_hand))
+    assert moved_photos(document) == [first, at_hand]
 
 
 def test_a_choice_turns_the_cameras_that_nobody_placed_and_no_other():
