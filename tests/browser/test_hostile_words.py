@@ -59,6 +59,8 @@ def test_clicks_tell_the_server_what_was_clicked_however_it_is_called(shown):
     session.change(None, lambda _: changeable)
     driver.tab("1 Data")
     second = driver.page.locator("[data-photo]").nth(1)
+    second.get_by_text("In use", exact=True).wait_for()
+    driver.frames(3)  # What is drawn anew under a click loses it.
     second.click()
     wait_until(lambda: session.state.selected == 1, "the second photo is selected")
     second.get_by_text("In use", exact=True).click()
