@@ -9,6 +9,11 @@ def listed(words: Sequence[str]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
+def some_of(words: Sequence[str]) -> str:
+    """The first three words, and whether there are more: a, b, c ..."""
+    return ", ".join(words[:3]) + (" ..." if len(words) > 3 else "")
+
+
 def nfc(name: str) -> str:
     """A name in Unicode's composed form: macOS and its zips have them decomposed."""
     return unicodedata.normalize("NFC", name)

@@ -1,6 +1,7 @@
 """Which axis of a scan points upwards: guessed from the mesh, or chosen by a person."""
 
 import dataclasses
+import functools
 
 import numpy as np
 
@@ -102,13 +103,11 @@ def moved_photos(document: Document) -> list[PhotoEntry]:
     at_first: list[Camera] = []
     moved = []
     for entry in document.photos:
-        beside_now, beside_first = (
-            first_camera(document.mesh, entry.photo, document.up, tuple(others))
-            for others in (now, at_first)
-        )
+        put = functools.partial(first_camera, document.mesh, entry.photo, document.up)
+        beside_first = put(tuple(at_first))
         if not (
-            same_camera(entry.camera, beside_now)
-            or same_camera(entry.camera, beside_first)
+            same_camera(entry.camera, beside_first)
+            or same_camera(entry.camera, put(tuple(now)))
         ):
             moved.append(entry)
         now.append(entry.camera)

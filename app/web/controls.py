@@ -1,9 +1,10 @@
 """Small adapters around viser's controls: guarded callbacks, quiet writes, questions."""
 
 import asyncio
+import contextlib
 import functools
 import threading
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Iterator
 from typing import Any
 
 import viser
@@ -59,13 +60,9 @@ def guarded_all(
 
     @functools.wraps(callback)
     async def run(event: Any) -> None:
-        if event.client is None:
-            return
-        try:
-            await callback(event)
-        except Exception as error:  # noqa: BLE001 - nothing may vanish here.
-            if not has_left(event.client, error):
-                report(event.client, _name(callback), error)
+        if event.client is not None:
+            with _reporting(event.client, _name(callback)):
+                await callback(event)
 
     return run
 
@@ -109,8 +106,14 @@ def _name(callback: Callable[..., object]) -> str:
 
 
 def _try(client: viser.ClientHandle, what: str, action: Callable[[], object]) -> None:
-    try:
+    with _reporting(client, what):
         action()
+
+
+@contextlib.contextmanager
+def _reporting(client: viser.ClientHandle, what: str) -> Iterator[None]:
+    try:
+        yield
     except Exception as error:  # noqa: BLE001 - nothing may vanish here.
         if not has_left(client, error):
             report(client, what, error)

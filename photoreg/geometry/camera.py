@@ -274,6 +274,12 @@ def centred_intrinsics(
     )
 
 
+def centred_camera(focal_px: float, width: int, height: int) -> Camera:
+    """A camera in the origin, along z, with the principal point in the photo's middle."""
+    K = centred_intrinsics(focal_px, width, height)
+    return Camera(K, np.eye(3), np.zeros(3), width, height)
+
+
 def same_camera(a: Camera, b: Camera) -> bool:
     """Whether two cameras are equal to rounding."""
     if a is b:

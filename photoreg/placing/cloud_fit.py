@@ -131,7 +131,7 @@ class CloudFit:
                 )
                 R_world_cam = (roll @ facing).T @ to_middle
                 for fill in FILLS:
-                    distance = self.radius * (2.0 * focal_share / fill + 0.0)
+                    distance = self.radius * 2.0 * focal_share / fill
                     distance = max(distance, 1.05 * self.radius)
                     center = self.middle + distance * direction
                     scale = (distance - 0.5 * self.radius) / depth

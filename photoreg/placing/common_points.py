@@ -33,7 +33,6 @@ from photoreg.placing.outline_candidates import GUESSED_FOCAL, differ
 from photoreg.placing.two_views import (
     LEAST_MATCHES,
     SIDE_PX,
-    Features,
     TwoViews,
     features_of,
     matched,
@@ -140,7 +139,13 @@ def place_by_points(
     for i in range(len(photos)):
         if i not in placed:
             yield step(0.95, f"placing {photos[i].name}")
-            camera = _resected(mesh, photos, features, placed, i, focals_px)
+            shared = {
+                other: matches.get((other, i))
+                or matches.get((i, other), ())[::-1]
+                or matched(features[other], features[i])
+                for other in placed
+            }
+            camera = _resected(mesh, photos[i], shared, placed, focals_px)
             if camera is not None:
                 placed[i] = camera
     yield Placed(
@@ -258,10 +263,9 @@ def _distinct(found: Sequence[PairPose]) -> list[PairPose]:
 
 def _resected(
     mesh: Mesh,
-    photos: Sequence[Photo],
-    features: Sequence[Features],
+    photo: Photo,
+    shared: Mapping[int, tuple[np.ndarray, np.ndarray]],
     placed: Mapping[int, Camera],
-    i: int,
     focals_px: Mapping[str, float],
 ) -> Camera | None:
     """The camera of a photo by places on the mesh that it shares with placed photos.
@@ -269,10 +273,9 @@ def _resected(
     References:
         G. Terzakis and M. Lourakis, "SQPnP", ECCV 2020, DOI 10.1007/978-3-030-58452-8_28.
     """
-    photo = photos[i]
     points, pixels = [], []
     for other, camera in placed.items():
-        there, here = matched(features[other], features[i])
+        there, here = shared[other]
         met, hits = surface_hits(mesh, *camera.rays(there))
         points.append(hits.points)
         pixels.append(here[met])

@@ -3,9 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 
-import numpy as np
-
-from photoreg.geometry.camera import Camera, centred_intrinsics
+from photoreg.geometry.camera import Camera, centred_camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.imaging.photo import Photo
 from photoreg.placing.rim_fit import FIRST_CUT, fit_outline, outline_of
@@ -61,7 +59,9 @@ class OutlineSearch:
             focal_px: The photo's focal length; None where nobody knows it.
         """
         side = max(photo.width, photo.height)
-        base = _any_camera(photo, focal_px or GUESSED_FOCAL * side)
+        base = centred_camera(
+            focal_px or GUESSED_FOCAL * side, photo.width, photo.height
+        )
         height, width = found.covered.shape
         small = outline_of(found.covered, SIDE_FIRST_PX)
         large = outline_of(found.covered, SIDE_SECOND_PX)
@@ -139,11 +139,6 @@ class OutlineSearch:
         turned = camera.R_cam_world @ self.grid.middle
         middle = (turned + camera.t_cam_world) * [1.0, 1.0, factor]
         return dataclasses.replace(camera, K=K, t_cam_world=middle - turned)
-
-
-def _any_camera(photo: Photo, focal_px: float) -> Camera:
-    K = centred_intrinsics(focal_px, photo.width, photo.height)
-    return Camera(K, np.eye(3), np.zeros(3), photo.width, photo.height)
 
 
 def _best(candidates: Sequence[Candidate]) -> Candidate:

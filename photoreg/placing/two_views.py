@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import least_squares
 
-from photoreg.geometry.camera import Camera, centred_intrinsics, reduced_size
+from photoreg.geometry.camera import Camera, centred_camera, reduced_size
 from photoreg.geometry.rotations import rotation_matrix
 from photoreg.imaging.photo import MIN_SIDE_PX, Photo, resized_mask
 
@@ -135,13 +135,7 @@ def two_views(
     if len(matches[0]) < LEAST_MATCHES:
         return None
     first, second = (
-        Camera(
-            centred_intrinsics(focal_px, photo.width, photo.height),
-            np.eye(3),
-            np.zeros(3),
-            photo.width,
-            photo.height,
-        )
+        centred_camera(focal_px, photo.width, photo.height)
         for photo, focal_px in zip(photos, focals_px, strict=True)
     )
     a, b = (

@@ -52,6 +52,7 @@ from photoreg.formats.parsing import (
 from photoreg.formats.writing import write_files
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.lens import IDEAL, Lens
+from photoreg.words import some_of
 
 SENSOR_MM = 36.0
 """Width of the sensor where a file gives none, and in those that are written."""
@@ -177,7 +178,7 @@ def notes_of(path: Path) -> list[str]:
     if lost:
         notes.append(
             f"Meshroom found no pose of {len(lost)} photos of {path.name} "
-            f"({', '.join(lost[:3])}{' ...' if len(lost) > 3 else ''}); they have no "
+            f"({some_of(lost)}); they have no "
             "camera."
         )
     version = _version(path, document)

@@ -34,6 +34,7 @@ from photoreg.formats.parsing import (
 from photoreg.formats.photos.files import is_photo, photo_of_stem
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.lens import Lens
+from photoreg.words import some_of
 
 READ_TERMS = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "p1", "p2")
 
@@ -74,7 +75,7 @@ def notes_of(path: Path) -> list[str]:
         return []
     return [
         f"Metashape did not align {len(left_out)} photos of {path.name} "
-        f"({', '.join(left_out[:3])}{' ...' if len(left_out) > 3 else ''}); they have no "
+        f"({some_of(left_out)}); they have no "
         "camera."
     ]
 

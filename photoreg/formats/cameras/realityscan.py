@@ -40,11 +40,12 @@ from photoreg.formats.cameras.camera_set import (
 from photoreg.formats.cameras.lens_terms import refuse_lens_terms
 from photoreg.formats.mark import COMMENT
 from photoreg.formats.parsing import camera_of, finite, lens_of, numbers, read_xml
-from photoreg.formats.photos.files import photo_of_stem, stored_size
+from photoreg.formats.photos.files import photo_beside, stored_size
 from photoreg.formats.writing import Content, make_folder, write_files
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.lens import IDEAL, Lens
 from photoreg.sources import open_for_reading
+from photoreg.words import some_of
 
 NAMESPACE = "http://www.capturingreality.com/ns/xcr/1.1#"
 FILM_MM = 36.0
@@ -161,7 +162,7 @@ def notes_of(folder: Path) -> list[str]:
     if without_pose:
         notes.append(
             f"{len(without_pose)} XMP files hold no pose of RealityScan "
-            f"({', '.join(without_pose[:3])}{' ...' if len(without_pose) > 3 else ''}); "
+            f"({some_of(without_pose)}); "
             "their photos have no camera."
         )
     if any(key in v for v in values.values() if _has_pose(v) for key in GEOGRAPHIC):
@@ -203,15 +204,8 @@ def _cameras(
             continue
         where = path.name
         _refuse_unknown(values, where)
-        found = photo_of_stem(path.stem, path.parent, photos)
-        if found is None:
-            raise InputError(
-                f"{where}: its photo {path.stem}.* is not beside it; its size is needed. "
-                "Give the photos too."
-            )
-        name, photo = found
-        photos[name] = photo
-        width, height = stored_size(photo)
+        name, photos[name] = photo_beside(path, photos)
+        width, height = stored_size(photos[name])
         side = max(width, height)
         number = {
             key: finite(values.get(key, default), where, key)

@@ -29,7 +29,7 @@ from photoreg.formats.parsing import (
     numbers,
     read_text,
 )
-from photoreg.formats.photos.files import photo_of_stem, stored_size
+from photoreg.formats.photos.files import photo_beside, stored_size
 from photoreg.formats.writing import Content, make_folder, write_files
 from photoreg.geometry.camera import Camera
 
@@ -91,15 +91,8 @@ def _cameras(
             raise InputError(
                 f"{where}: the aspect should be positive, but is {aspect:g}."
             )
-        found = photo_of_stem(path.stem, path.parent, photos)
-        if found is None:
-            raise InputError(
-                f"{where}: its photo {path.stem}.* is not beside it; its size is needed. "
-                "Give the photos too."
-            )
-        name, photo = found
-        photos[name] = photo
-        width, height = stored_size(photo)
+        name, photos[name] = photo_beside(path, photos)
+        width, height = stored_size(photos[name])
         if width / height * aspect < 1.0:
             fx, fy = focal * height / aspect, focal * height
         else:

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from photoreg.checks import check_input_file
+from photoreg.errors import InputError
 from photoreg.formats.photos.decoding import PhotoHeader, read_header
 from photoreg.formats.photos.registry import is_photo
 from photoreg.words import nfc
@@ -56,6 +57,21 @@ def photo_of_stem(
         if nfc(Path(name).stem) == nfc(stem) and is_photo(Path(name)):
             return nfc(name), path
     return None
+
+
+def photo_beside(path: Path, photos: Mapping[str, Path]) -> tuple[str, Path]:
+    """Name and path of the photo with the stem of a camera file, given or beside it.
+
+    Raises:
+        InputError: if there is none.
+    """
+    found = photo_of_stem(path.stem, path.parent, photos)
+    if found is None:
+        raise InputError(
+            f"{path.name}: its photo {path.stem}.* is not beside it; its size is needed. "
+            "Give the photos too."
+        )
+    return found
 
 
 def path_from(folder: Path, path: Path) -> str:
