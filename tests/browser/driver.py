@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from playwright.sync_api import Browser, ConsoleMessage, Page, Playwright
+from playwright.sync_api import Browser, ConsoleMessage, Page, Playwright, expect
 
 from tests.browser.ensure_chromium import find_chromium
 
@@ -151,6 +151,21 @@ class Driver:
         row = self.page.get_by_role("radiogroup", name=group, exact=True)
         row.get_by_role("radio", name=option, exact=True).click()
         row.get_by_role("radio", name=option, exact=True, checked=True).wait_for()
+
+    def command(self, label: str) -> None:
+        """Looks a command up by Ctrl+K and presses it.
+
+        The search takes keys only once it has the focus, and Enter presses the line that
+        is marked, which follows the words a moment later.
+        """
+        self.page.keyboard.press("Control+k")
+        search = self.page.get_by_placeholder("Search commands")
+        expect(search).to_be_focused()
+        search.fill(label)
+        marked = self.page.locator(".mantine-Spotlight-action[data-selected]")
+        expect(marked.filter(has_text=label)).to_be_visible()
+        self.page.keyboard.press("Enter")
+        expect(search).to_be_hidden()
 
     def canvas(self) -> dict[str, float]:
         """Position and size of the 3-D canvas in the window."""

@@ -430,16 +430,13 @@ def test_a_second_browser_sees_the_move_and_nothing_fights(app, second):
 
 
 def test_all_commands_find_the_buttons_of_every_tab(app):
-    driver, page = app.driver, app.driver.page
+    driver = app.driver
     driver.tab("1 Data")
     commands = {
         button.label: command for button, command in app.page._button_commands._commands
     }
     assert commands["Accept"].disabled, "there is nothing to accept"
-    page.keyboard.press("Control+k")
-    page.keyboard.type("Reset this camera")
-    page.get_by_text("Reset this camera").locator("visible=true").wait_for()
-    page.keyboard.press("Enter")
+    driver.command("Reset this camera")
     wait_until(lambda: app.state.undo_name == "Reset camera 1", "it is pressed", 30)
     driver.tab("2 Align")
 
