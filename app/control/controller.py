@@ -18,6 +18,7 @@ from app.engine.scene_opening import demo_folder, open_folder
 from app.model import reducers
 from app.model import session as rules
 from app.model.failures import UNFORESEEN, log_failure
+from app.model.masks import masks_stamp
 from app.model.messages import (
     SPARE_TIME,
     Bake,
@@ -135,7 +136,9 @@ class Controller:
                 )
             self._set(job=Job("Making the texture", can_stop=True))
             self._send_scene(state.document)
-            self.worker.send(Bake(state.document.used_cameras, state.texture_config))
+            document = state.document
+            masks = masks_stamp(document.masks)
+            self.worker.send(Bake(document.used_cameras, state.texture_config, masks))
 
     def stop_job(self) -> None:
         """Ends the reading of files or a project at once, the making of a texture after its step."""
@@ -162,7 +165,7 @@ class Controller:
             self._set(job=Job("Packing the files"))
             self._deliver = deliver
             self._send_scene(state.document)
-            made_with = Bake(texture.cameras, texture.config)
+            made_with = Bake(texture.cameras, texture.config, texture.masks)
             self.worker.send(
                 Pack(state.model_choice, made_with, state.texture_is_current)
             )

@@ -9,11 +9,11 @@ import numpy as np
 
 from app.engine.glb_file import GlbFile
 from app.model.camera_moves import DisplayFrame
-from app.model.messages import Baked, Download, Working
+from app.model.messages import Bake, Baked, Download, Working
 from app.model.state import ModelChoice, Texture
 from photoreg.errors import InputError
 from photoreg.formats.models.registry import textured_download
-from photoreg.geometry.camera import Camera, same_camera
+from photoreg.geometry.camera import same_camera
 from photoreg.geometry.mesh import Mesh
 from photoreg.imaging.encoding import encode_jpeg
 from photoreg.imaging.photo import Photo
@@ -23,7 +23,6 @@ from photoreg.registration.texture_doubts import (
 )
 from photoreg.texture.atlas import Atlas, make_atlas
 from photoreg.texture.bake import BakingStep, TexturedMesh, baking
-from photoreg.texture.config import TextureConfig
 from photoreg.words import percent
 
 PREVIEW_SIDE_PX = 4096
@@ -42,14 +41,13 @@ class BakeJob:
         self._keep_uv = True
         self._atlas: Atlas | None = None
         self._textured: TexturedMesh | None = None
-        self._made_with: tuple[Sequence[Camera], TextureConfig] = (), TextureConfig()
+        self._made_with = Bake(())
 
     def bake(
         self,
         mesh: Mesh,
         photos: Sequence[Photo],
-        cameras: Sequence[Camera],
-        config: TextureConfig | None = None,
+        job: Bake,
     ) -> Generator[Working | Baked]:
         """Bakes, telling what comes next; the last event is the model.
 
@@ -58,7 +56,7 @@ class BakeJob:
         Raises:
             InputError: if the cameras are of another world than the mesh.
         """
-        config, began = config or TextureConfig(), time.monotonic()
+        cameras, config, began = job.cameras, job.config, time.monotonic()
         yield Working("Looking at the cameras", 0.01)
         verdict = check_cameras_of_texture(mesh, photos, cameras)
         made_for = self._mesh, self._keep_uv
@@ -72,20 +70,20 @@ class BakeJob:
             else:
                 yield Working("Making the preview", 0.95)
                 doubts = doubts_about_texture(step, photos, cameras, verdict)
-                texture = _texture(step, photos, cameras, config, tuple(doubts))
-                self._textured, self._made_with = step, (tuple(cameras), config)
+                texture = _texture(step, photos, job, tuple(doubts))
+                self._textured, self._made_with = step, job
                 took_s = time.monotonic() - began
                 yield Baked(dataclasses.replace(texture, took_s=took_s))
 
-    def has(self, mesh: Mesh, cameras: Sequence[Camera], config: TextureConfig) -> bool:
-        """Whether the model made last is of this mesh, and was made with these."""
+    def has(self, mesh: Mesh, job: Bake) -> bool:
+        """Whether the model made last is of this mesh, and was made like this."""
         if self._textured is None:
             return False
-        known, (before, config_before) = self._textured.mesh, self._made_with
+        known, before = self._textured.mesh, self._made_with
         return (
-            config == config_before
-            and len(before) == len(cameras)
-            and all(map(same_camera, before, cameras))
+            (job.config, job.masks) == (before.config, before.masks)
+            and len(before.cameras) == len(job.cameras)
+            and all(map(same_camera, before.cameras, job.cameras))
             and np.array_equal(known.vertices, mesh.vertices)
             and np.array_equal(known.faces, mesh.faces)
         )
@@ -108,8 +106,7 @@ class BakeJob:
 def _texture(
     textured: TexturedMesh,
     photos: Sequence[Photo],
-    cameras: Sequence[Camera],
-    config: TextureConfig,
+    job: Bake,
     doubts: tuple[str, ...],
 ) -> Texture:
     height, width = textured.texture.shape[:2]
@@ -117,7 +114,7 @@ def _texture(
         "diffuse": "filled from its neighbours",
         "colour": "in the colour chosen",
         "own": "in the model's own colours",
-    }[config.unseen]
+    }[job.config.unseen]
     summary = (
         f"Texture of {width} × {height} px, {textured.layout_in_words}. The photos cover "
         f"{percent(textured.seen_share)} of the surface; the rest is {filled}."
@@ -133,12 +130,13 @@ def _texture(
     )
     return Texture(
         preview_glb(textured),
-        tuple(cameras),
-        config,
+        job.cameras,
+        job.config,
         summary,
         picture,
         coverage,
         doubts,
+        masks=job.masks,
     )
 
 

@@ -263,18 +263,16 @@ class WorkerProcess:
 
     def _pack(self, job: Pack) -> None:
         mesh, made_with = self._scene_mesh(), job.made_with
-        is_there = self._baker.has(mesh, made_with.cameras, made_with.config)
+        is_there = self._baker.has(mesh, made_with)
         if not is_there and job.can_be_made:
             self._drop_preparation()
-            for step in self._baker.bake(
-                mesh, self._photos, made_with.cameras, made_with.config
-            ):
+            for step in self._baker.bake(mesh, self._photos, made_with):
                 if isinstance(step, Working):
                     self._send(step)
         elif not is_there:
             raise PhotoregError(
-                "The engine was started again since the texture was made, and cameras or "
-                "settings have changed. Make it anew."
+                "The engine was started again since the texture was made, and cameras, "
+                "masks or settings have changed. Make it anew."
             )
         self._send(Working("Packing the files", 0.96))
         self._send(self._baker.pack(job.choice))
@@ -315,7 +313,7 @@ class WorkerProcess:
 
     def _bake(self, job: Bake) -> None:
         mesh = self._scene_mesh()
-        for step in self._baker.bake(mesh, self._photos, job.cameras, job.config):
+        for step in self._baker.bake(mesh, self._photos, job):
             self._send(step)
             if isinstance(step, Working) and self._is_told_to_stop():
                 self._send(BakingStopped())

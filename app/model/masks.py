@@ -4,6 +4,7 @@ A photo of 50 megapixels has a mask of 50 MB, and undo keeps many; as PNG it is 
 kilobytes. No viser here.
 """
 
+import hashlib
 import io
 import itertools
 from collections.abc import Sequence
@@ -42,6 +43,14 @@ def decode_mask(png: bytes) -> np.ndarray:
     if grey is None:
         raise InputError("The mask could not be read. Load or paint it again.")
     return grey >= 128
+
+
+def masks_stamp(masks: Sequence[bytes | None]) -> str:
+    """Tells masks from others, in a line that can be kept; empty where there is none."""
+    if not any(masks):
+        return ""
+    digests = [hashlib.sha256(png or b"").digest() for png in masks]
+    return hashlib.sha256(b"".join(digests)).hexdigest()
 
 
 def check_mask(png: bytes, width: int, height: int) -> None:

@@ -120,6 +120,8 @@ class Bake:
 
     cameras: tuple[Camera, ...]
     config: TextureConfig = TextureConfig()
+    masks: str = ""
+    """Tells the masks of the scene from others, see ``app.model.masks.masks_stamp``."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from app.model.durations import Speed
-from app.model.masks import decode_mask, encode_mask
+from app.model.masks import decode_mask, encode_mask, masks_stamp
 from app.model.pictures import (
     Cloud,
     Compared,
@@ -197,6 +197,8 @@ class Texture:
     """What speaks against it, a sentence each."""
     took_s: float = 0.0
     """Seconds that it took to be made."""
+    masks: str = ""
+    """The masks it was made with, as ``app.model.masks.masks_stamp`` tells them apart."""
 
 
 ModelFormat = Literal["obj", "glb", "usdz", "ply", "coloured ply"]
@@ -538,9 +540,10 @@ class State:
 
     @property
     def texture_is_current(self) -> bool:
-        """Whether the texture was made with cameras and settings as they are now."""
+        """Whether the texture was made with cameras, masks and settings as they are now."""
         return (
             self.texture is not None
             and self.texture.config == self.texture_config
+            and self.texture.masks == masks_stamp(self.document.masks)
             and self.texture_has_cameras
         )

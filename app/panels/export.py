@@ -244,7 +244,7 @@ def _text(state: State) -> str:
             f"; the last time took {in_words(texture.took_s)}" if texture.took_s else ""
         )
         doubts.insert(
-            0, f"Cameras or settings have changed since. Make it again{took}."
+            0, f"Cameras, masks or settings have changed since. Make it again{took}."
         )
     return in_markdown(texture.summary) + "".join(
         f"\n\n⚠ {in_markdown(doubt)}" for doubt in doubts

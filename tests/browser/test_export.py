@@ -17,7 +17,8 @@ from playwright.sync_api import Browser
 from app.control.controller import Controller
 from app.control.project_reading import read_all
 from app.control.projects import Projects
-from app.model.session import Session, setting, with_document
+from app.model.masks import encode_mask
+from app.model.session import Session, setting, with_document, with_entry
 from app.model.state import ModelChoice, PhotoEntry
 from app.page.main import open_project
 from app.page.server import Page
@@ -190,4 +191,18 @@ def test_a_texture_is_there_when_its_project_is_opened_again(
         app.driver.frames(3)
         shown = "() => __viserMutable.nodeRefFromName['/solid/textured']?.visible"
         wait_until(lambda: app.driver.page.evaluate(shown), "the model wears it", 30)
+        assert downloaded(app.driver, "Download the model") == made
+    # With another mask it would be another model.
+    with app_on_project(chromium, tmp_path / "work") as app:
+        photo = app.state.document.photos[0].photo
+        mask = encode_mask(np.arange(photo.width) < np.full((photo.height, 1), 40))
+        app.session.change("Paint the mask", with_entry(0, mask_png=mask))
+        changed = app.driver.page.get_by_text(
+            "⚠ Cameras, masks or settings have changed"
+        )
+        changed.wait_for()
+        app.driver.click("Download the model")
+        app.driver.page.get_by_text("Make it anew").wait_for()
+        app.session.undo()
+        changed.wait_for(state="hidden")
         assert downloaded(app.driver, "Download the model") == made

@@ -3,6 +3,7 @@
 import dataclasses
 import io
 import zipfile
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,21 @@ import trimesh
 from app.engine.bake_job import BakeJob
 from app.engine.warm_up import toy_scene
 from app.model.camera_moves import rolled
-from app.model.messages import Baked, Working
+from app.model.messages import Bake, Baked, Working
 from app.model.state import ModelChoice, Texture
 from photoreg.errors import InputError
+from photoreg.geometry.mesh import Mesh
+from photoreg.imaging.photo import Photo
 from photoreg.texture.atlas import make_atlas
 from photoreg.texture.config import TextureConfig
 from tests.scenes import small_scene
+
+
+def toy_job(
+    config: TextureConfig | None = None,
+) -> tuple[Mesh, Sequence[Photo], Bake]:
+    mesh, photos, cameras = toy_scene()
+    return mesh, photos, Bake(cameras, config or TextureConfig())
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +37,7 @@ def baker() -> BakeJob:
 
 @pytest.fixture(scope="module")
 def baked(baker) -> Texture:
-    *steps, model = baker.bake(*toy_scene())
+    *steps, model = baker.bake(*toy_job())
     fractions = [step.fraction for step in steps if isinstance(step, Working)]
     assert fractions == sorted(fractions)
     assert isinstance(model, Baked)
@@ -95,9 +105,9 @@ def test_without_a_texture_there_is_nothing_to_pack():
 
 def test_baking_that_is_left_keeps_the_model_from_before(baked):
     baker = BakeJob()
-    list(baker.bake(*toy_scene()))
+    list(baker.bake(*toy_job()))
     before = baker.pack(ModelChoice("glb")).content
-    steps = baker.bake(*toy_scene(), TextureConfig(size=256))
+    steps = baker.bake(*toy_job(TextureConfig(size=256)))
     assert isinstance(next(steps), Working)
     steps.close()
     assert baker.pack(ModelChoice("glb")).content == before
@@ -110,7 +120,7 @@ def test_the_model_s_own_layout_is_kept_by_choice():
     baker = BakeJob()
     for keep, words in ((True, "laid out as the mesh's own"), (False, "laid out anew")):
         config = TextureConfig(size=256, keep_uv=keep)
-        *_, made = baker.bake(laid_out, photos, cameras, config)
+        *_, made = baker.bake(laid_out, photos, Bake(cameras, config))
         assert isinstance(made, Baked)
         assert words in made.texture.summary
 
@@ -146,26 +156,30 @@ def test_cameras_of_another_world_and_unconvincing_ones_are_told_as_in_the_comma
     ]
     baker = BakeJob()
     with pytest.raises(InputError, match="OpenGL"):
-        list(baker.bake(mesh, photos, away))
-    moved = [rolled(cameras[0], 9.0), cameras[1]]
-    *_, baked = baker.bake(mesh, photos, moved)
+        list(baker.bake(mesh, photos, Bake(tuple(away))))
+    moved = (rolled(cameras[0], 9.0), cameras[1])
+    *_, baked = baker.bake(mesh, photos, Bake(moved))
     assert isinstance(baked, Baked)
     assert baked.texture.doubts[0].startswith("Unconvincing: ")
     assert baked.texture.took_s > 0.0
-    *_, baked = baker.bake(mesh, photos, cameras)
+    *_, baked = baker.bake(mesh, photos, Bake(cameras))
     assert isinstance(baked, Baked)
     assert baked.texture.doubts == ()
 
 
-def test_a_model_is_told_by_its_mesh_its_cameras_and_its_settings():
+def test_a_model_is_told_by_its_mesh_its_cameras_its_settings_and_its_masks():
     mesh, photos, cameras = toy_scene()
-    baker, config = BakeJob(), TextureConfig(size=256)
-    assert not baker.has(mesh, cameras, config)
-    list(baker.bake(mesh, photos, cameras, config))
+    config, masks = TextureConfig(size=256), "one"
+    baker, job = BakeJob(), Bake(cameras, config, masks)
+    assert not baker.has(mesh, job)
+    *_, baked = baker.bake(mesh, photos, job)
+    assert isinstance(baked, Baked)
+    assert baked.texture.masks == masks
     same = dataclasses.replace(mesh, vertices=mesh.vertices.copy())
-    assert baker.has(same, list(cameras), TextureConfig(size=256))
-    assert not baker.has(mesh, cameras[::-1], config)
-    assert not baker.has(mesh, cameras[:1], config)
-    assert not baker.has(mesh, cameras, TextureConfig(size=512))
+    assert baker.has(same, Bake(cameras, TextureConfig(size=256), "one"))
+    assert not baker.has(mesh, Bake(cameras[::-1], config, masks))
+    assert not baker.has(mesh, Bake(cameras[:1], config, masks))
+    assert not baker.has(mesh, Bake(cameras, TextureConfig(size=512), masks))
+    assert not baker.has(mesh, Bake(cameras, config, "other"))
     other = dataclasses.replace(mesh, vertices=mesh.vertices + 1e-3)
-    assert not baker.has(other, cameras, config)
+    assert not baker.has(other, job)

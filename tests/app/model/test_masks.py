@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from app.engine.warm_up import toy_scene
-from app.model.masks import decode_mask, encode_mask, mask_of, painted_mask
+from app.model.masks import decode_mask, encode_mask, mask_of, masks_stamp, painted_mask
 from app.model.state import PhotoEntry
 from photoreg.errors import InputError
 
@@ -24,6 +24,17 @@ def distance_to_path(width, height, path):
         near = a + along[..., None] * (b - a)
         best = np.minimum(best, np.linalg.norm(pixels - near, axis=-1))
     return best
+
+
+def test_masks_are_told_apart_by_what_they_are_and_by_their_photo():
+    left, right = (encode_mask(np.eye(8, dtype=bool)[::way]) for way in (1, -1))
+    stamps = [
+        masks_stamp(masks)
+        for masks in ((left, None), (None, left), (left, right), (right, left))
+    ]
+    assert len(set(stamps)) == 4
+    assert stamps[0] == masks_stamp([left, None])
+    assert masks_stamp([None, None]) == masks_stamp(()) == ""
 
 
 @pytest.mark.parametrize("counts", [False, True])
