@@ -274,6 +274,7 @@ class _Batch:
                 self._see_to_workers(client)
                 room = self._window() - len(self._running)
                 deadline = time.monotonic() + POLL_S
+                tasks: dict[str, tuple[_Attempts, ObjectTask]] = {}
                 # Some at a time, so that what has ended meanwhile is seen.
                 while room > 0 and (left or self._again):
                     attempts = (
@@ -282,10 +283,12 @@ class _Batch:
                     if attempts is None:
                         left = False
                         break
-                    self._submit(client, attempts)
+                    if (task := self._task(attempts)) is not None:
+                        tasks[_key(attempts, task.name)] = attempts, task
                     room -= 1
                     if time.monotonic() > deadline:
                         break
+                self._submit(client, tasks)
                 yield self._progress()
                 self._take(timeout_s=POLL_S if room <= 0 or not left else 0.0)
                 if client.status not in ("running", "connecting"):
@@ -317,18 +320,34 @@ class _Batch:
         )
         return 2 * at_work if self._config.ship else at_work + WAITING
 
-    def _submit(self, client: Any, attempts: _Attempts) -> None:
+    def _submit(
+        self, client: Any, tasks: dict[str, tuple[_Attempts, ObjectTask]]
+    ) -> None:
+        """Hands tasks to the cluster together.
+
+        Dask keeps a task back from a busy worker only where it knows of many alike.
+        """
+        if not tasks:
+            return
+        at_work, given = zip(*tasks.values(), strict=True)
+        futures = client.map(run_task, given, key=list(tasks), pure=False)
+        for future, attempts in zip(futures, at_work, strict=True):
+            self._running[future] = attempts
+            future.add_done_callback(self._ended.put)
+
+    def _task(self, attempts: _Attempts) -> ObjectTask | None:
+        """The next attempt at an object; None where its files cannot be read."""
         thing = self._collection[attempts.index]
-        if attempts.number > 1:
-            attempts.files = thing.files()  # Somebody may have put it right.
         contents = None
         try:
+            if attempts.number > 1:
+                attempts.files = thing.files()  # Somebody may have put it right.
             if self._config.ship:
                 contents = _contents(thing, attempts)
         except (PhotoregError, OSError) as error:
             self._fail(attempts, Outcome(status="failed", sentence=str(error)))
-            return
-        task = ObjectTask(
+            return None
+        return ObjectTask(
             name=thing.name,
             base=thing.base,
             inputs=attempts.inputs,
@@ -340,10 +359,6 @@ class _Batch:
             limit_s=self._config.limit_min and 60.0 * self._config.limit_min,
             contents=contents,
         )
-        key = f"{thing.name}-{attempts.index}-{attempts.number}-{os.getpid()}"
-        future = client.submit(run_task, task, key=key, pure=False)
-        self._running[future] = attempts
-        future.add_done_callback(self._ended.put)
 
     def _take(self, timeout_s: float) -> None:
         """Sees to attempts that have ended; waits so long for the first."""
@@ -488,6 +503,11 @@ class _Batch:
 
 def _scratch(attempts: _Attempts) -> str:
     return f"{SCRATCH}{attempts.index}-{attempts.number}"
+
+
+def _key(attempts: _Attempts, name: str) -> str:
+    """An attempt's name in Dask, to which tasks are alike whose keys begin alike."""
+    return f"object-{attempts.index}-{attempts.number}-{os.getpid()}-{name}"
 
 
 def _contents(thing: CollectionObject, attempts: _Attempts) -> dict[str, bytes]:
