@@ -156,6 +156,12 @@ def _sentence(name: str) -> str:
     return entry["text"].format(**entry.get("values", {}))
 
 
+def figure(path: str) -> str:
+    """One value of a sentence: ``sentence.value``."""
+    sentence, _, value = path.partition(".")
+    return str(published()["sentences"][sentence]["values"][value])
+
+
 def _value(path: str) -> str:
     module, _, name = path.rpartition(".")
     return f"{getattr(importlib.import_module(module), name):g}"
@@ -197,6 +203,7 @@ _TABLES: dict[str, Callable[[], str]] = {
 }
 _WITH_ARGUMENT: dict[str, Callable[[str], str]] = {
     "figures": _sentence,
+    "figure": figure,
     "value": _value,
     "file": _file,
     "notebook": _notebook,

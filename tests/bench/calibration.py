@@ -1,5 +1,6 @@
 """Whether photoreg knows how sure it is: the true error against the estimated one."""
 
+import itertools
 from collections.abc import Iterator
 from typing import Any
 
@@ -18,6 +19,10 @@ NOISY: dict[str, dict[str, Any]] = {
     "mid": {"kind": "mid"},
 }
 """Scenes whose answers are uncertain for different reasons."""
+
+BUMP_HEIGHTS = (0.0005, 0.001)
+BUMP_LENGTHS = (0.01, 0.03, 0.1)
+"""Of the bumps of wrong scans, as shares of the diagonal."""
 
 
 @bench
@@ -56,6 +61,38 @@ def calibration(setting: Setting) -> Iterator[Metric]:
         0.9,
         0.05,
         f"n={len(everything)}",
+    )
+
+
+@bench
+def bumpy_scans(setting: Setting) -> Iterator[Metric]:
+    """True error over the estimated one, where neighbouring errors of the scan agree."""
+    pairs = [
+        _estimated_and_true(w)
+        for height, length in itertools.product(BUMP_HEIGHTS, BUMP_LENGTHS)
+        for w in worlds(setting.n, mesh_noise=height, mesh_noise_length=length)
+    ]
+    estimated, true = np.array(pairs).T
+    ratios = true / estimated
+    note = f"n={ratios.size}; true {true.min():.2f} to {true.max():.2f} px"
+    yield Metric(
+        "bumpy_scans.true_over_estimated.worst",
+        float(ratios.max()),
+        "times",
+        "lower",
+        None,
+        0.25,
+        note,
+    )
+    # An estimate far above the error would never be exceeded, and be worth nothing.
+    yield Metric(
+        "bumpy_scans.true_over_estimated.least",
+        float(ratios.min()),
+        "times",
+        "higher",
+        None,
+        0.5,
+        note,
     )
 
 

@@ -83,6 +83,22 @@ def test_figures_of_the_baseline_are_rounded_and_not_typed() -> None:
     assert generate.baseline("texture.usual.memory 1") == "1.4"
 
 
+def test_published_figures_that_the_baseline_has_are_those_of_the_baseline() -> None:
+    for statistic in ("least", "worst"):
+        measured = f"bumpy_scans.true_over_estimated.{statistic} 1"
+        assert generate.figure(f"bumpy_scans.{statistic}") == generate.baseline(
+            measured
+        )
+    right, n = (int(generate.figure(f"calibration.{name}")) for name in ("within", "n"))
+    assert f"{right / n:.2f}" == generate.baseline("calibration.within_twice")
+
+
+def test_the_reach_that_the_pages_promise_is_in_the_table_of_accuracy() -> None:
+    starts = {row["rough_px"] for row in generate.published()["accuracy"]}
+    for preset in ("default", "thorough"):
+        assert generate.figure(f"reach.{preset}") in starts
+
+
 def test_the_drawing_has_every_room_and_its_arrows_lead_down() -> None:
     page = (DOCS / "architecture.md").read_text()
     nodes = re.findall(r'^ +(\w+)\["', page, re.MULTILINE)
