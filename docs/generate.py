@@ -22,6 +22,7 @@ from photoreg.formats.cameras.registry import CAMERA_FORMATS
 from photoreg.formats.meshes.read import MESH_SUFFIXES
 from photoreg.formats.models.registry import TEXTURED_FORMATS
 from photoreg.formats.photos.registry import PHOTO_FORMATS, formats_in_words
+from photoreg.words import listed
 
 ROOT = Path(__file__).resolve().parents[1]
 PUBLISHED = ROOT / "tests" / "bench" / "published.json"
@@ -102,8 +103,18 @@ def _photo_formats() -> str:
     return "\n".join(rows)
 
 
-def _photo_formats_in_words() -> str:
-    return f"{formats_in_words()}."
+def _formats_in_words() -> str:
+    meshes = [f"`{suffix}`" for suffix in MESH_SUFFIXES]
+    models = [f"`{suffix}`" for suffix in TEXTURED_FORMATS]
+    both, read, written = {}, {}, {}
+    for known in CAMERA_FORMATS.values():
+        kind = read if known.save is None else written if known.load is None else both
+        kind[known.label.partition(" (")[0].replace(", ", "/")] = None
+    return (
+        f"**Meshes**: {listed(meshes)}; **textured models**: {listed(models)}. "
+        f"**Photos**: {formats_in_words()}. **Cameras**: {listed([*both])}; "
+        f"{listed([*read])} is read only, {listed([*written])} written only."
+    )
 
 
 def _mesh_formats() -> str:
@@ -195,7 +206,7 @@ _TABLES: dict[str, Callable[[], str]] = {
     "commands": _commands,
     "camera formats": _camera_formats,
     "photo formats": _photo_formats,
-    "photo formats in words": _photo_formats_in_words,
+    "formats in words": _formats_in_words,
     "mesh formats": _mesh_formats,
     "model formats": _model_formats,
     "figures table": _figures_table,
