@@ -107,9 +107,10 @@ def first_camera(
         float((np.abs(x) * focal_px / (0.5 * FRAME_SHARE * photo.width) - z).max()),
         float((np.abs(y) * focal_px / (0.5 * FRAME_SHARE * photo.height) - z).max()),
     )
-    return Camera.look_at(
+    camera = Camera.look_at(
         target + distance * toward, target, up_axis, focal_px, photo.width, photo.height
     )
+    return camera if photo.known_lens is None else camera.with_lens(photo.known_lens)
 
 
 def with_focal(

@@ -10,6 +10,7 @@ from jaxtyping import Bool, UInt8
 
 from photoreg.errors import InputError
 from photoreg.geometry.camera import reduced_size
+from photoreg.geometry.lens import Lens
 from photoreg.sources import SourceFile
 from photoreg.words import nfc
 
@@ -45,6 +46,10 @@ class Photo:
     """Where EXIF has the focal length from and how sure that is, for people."""
     is_cropped: bool = False
     """Whether EXIF shows that a part was cut off: the principal point may lie anywhere."""
+    known_lens: Lens | None = None
+    """The lens's distortion by lensfun, a starting value; None if it is not known."""
+    known_lens_note: str = ""
+    """Which lens that is, for people."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "name", nfc(self.name))

@@ -69,6 +69,7 @@ def _events(
     seed: int,
 ) -> Generator[PlacingEvent, None, None]:
     placed = yield from _within(placing, 0.0, OUTLINES_UNTIL)
+    placed = _through_known_lenses(photos, placed)
     judging = _judged(mesh, photos, placed, seed)
     placed = yield from _within(judging, OUTLINES_UNTIL, JUDGED_UNTIL)
     # A guessed outline may look like a round thing's.
@@ -76,11 +77,28 @@ def _events(
     if placed.grade != "found" and not is_round and len(photos) > 1:
         fitting = place_by_points(mesh, photos, focals_px)
         by_points = yield from _within(fitting, JUDGED_UNTIL, POINTS_UNTIL)
+        by_points = _through_known_lenses(photos, by_points)
         judging = _judged(mesh, photos, by_points, seed)
         by_points = yield from _within(judging, POINTS_UNTIL, 1.0)
         if _is_better(by_points, placed):
             placed = by_points
     yield placed
+
+
+def _through_known_lenses(photos: Sequence[Photo], placed: Placed) -> Placed:
+    """The placements, whose cameras were found as if lenses were ideal, with known lenses."""
+    return dataclasses.replace(
+        placed,
+        placements=tuple(
+            one
+            if photo.known_lens is None
+            else dataclasses.replace(
+                one,
+                candidates=tuple(c.with_lens(photo.known_lens) for c in one.candidates),
+            )
+            for photo, one in zip(photos, placed.placements, strict=True)
+        ),
+    )
 
 
 def _within(

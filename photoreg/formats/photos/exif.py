@@ -11,6 +11,8 @@ from collections.abc import Callable
 import numpy as np
 from PIL import ExifTags, Image
 
+from photoreg.formats.photos.lens_database import KnownLens, known_lens
+
 FILM_DIAGONAL_MM = float(np.hypot(36.0, 24.0))
 SHORTEST_MM, LONGEST_MM = 8.0, 2000.0
 """Of 35 mm equivalents that can be: shorter lenses are fisheyes or mistakes."""
@@ -44,6 +46,8 @@ class PhotoFacts:
     focal: Focal | None = None
     is_cropped: bool = False
     """Whether a part was cut off after it was taken, as far as EXIF tells."""
+    lens: KnownLens | None = None
+    """The lens that took it, where EXIF names one that lensfun knows."""
     projection: str = ""
     """What it is if it is no picture in perspective: "a panorama (...)"; or nothing."""
     is_adobe_rgb: bool = False
@@ -73,12 +77,16 @@ def facts_of(
     except Exception:  # noqa: BLE001 - broken EXIF is common, and only a hint.
         get, interop = {}.get, None
     crop = _crop(get, width, height, is_raw)
+    focal = _focal(get, crop)
     return PhotoFacts(
-        int(orientation) if orientation and orientation in range(1, 9) else 1,
-        _focal(get, crop),
-        crop is None or crop.is_cropped,
-        _projection(get, xmp),
-        str(interop).strip("\0 ") == "R03",
+        orientation=int(orientation)
+        if orientation and orientation in range(1, 9)
+        else 1,
+        focal=focal,
+        is_cropped=crop is None or crop.is_cropped,
+        lens=_lens(exif, get, focal, crop),
+        projection=_projection(get, xmp),
+        is_adobe_rgb=str(interop).strip("\0 ") == "R03",
     )
 
 
@@ -167,6 +175,25 @@ def _focal(get: Callable, crop: _Crop | None) -> Focal | None:
         notes.append("cropped")
     words = ", ".join([where, *notes, sure])
     return Focal(equivalent / FILM_DIAGONAL_MM * diagonal_px, f"by EXIF ({words})")
+
+
+def _lens(
+    exif: Image.Exif, get: Callable, focal: Focal | None, crop: _Crop | None
+) -> KnownLens | None:
+    """The lens, where the photo is whole and EXIF tells enough to look it up."""
+    focal_mm = _tag(get, ExifTags.Base.FocalLength)
+    if focal is None or focal_mm is None or crop is None or crop.is_cropped:
+        return None
+    make, model, lens_model = (
+        str(value or "").strip("\0 ")
+        for value in (
+            exif.get(ExifTags.Base.Make),
+            exif.get(ExifTags.Base.Model),
+            get(ExifTags.Base.LensModel),
+        )
+    )
+    size = crop.width, crop.height
+    return known_lens(make, model, lens_model, focal_mm, focal.px, size)
 
 
 def _by_sensor(

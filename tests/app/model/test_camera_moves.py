@@ -18,6 +18,7 @@ from app.model.camera_moves import (
 from app.scene.canvas import fitting_focal, warped_photo
 from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
+from photoreg.geometry.lens import Lens
 from photoreg.geometry.mesh import Mesh
 from photoreg.imaging.photo import Photo
 
@@ -51,6 +52,16 @@ def test_a_first_camera_has_the_whole_object_in_its_frame(
     fill = np.ptp(pixels, axis=0) / (width, height)
     assert 0.6 < fill.max() < 0.85, f"fills {fill} of the frame"
     assert focal_px is None or camera.focal_px == focal_px
+
+
+def test_a_first_camera_has_the_lens_that_is_known_and_stands_where_it_would(mesh):
+    photo = Photo("a.jpg", np.zeros((480, 640, 3), np.uint8))
+    lens = Lens(k1=-0.07, k2=0.02)
+    plain = first_camera(mesh, photo, (0, 1, 0))
+    camera = first_camera(mesh, dataclasses.replace(photo, known_lens=lens), (0, 1, 0))
+    assert camera.lens == lens
+    assert plain.lens.is_ideal
+    assert np.array_equal(camera.P, plain.P)
 
 
 def test_first_cameras_stand_level_and_step_aside_by_20_degrees(mesh):
