@@ -54,6 +54,7 @@ def test_the_terms_bend_as_lensfun_does() -> None:
         (*NIKON[:2], "A lens that does not exist 17 mm"),
         ("Canon", "Canon EOS 5D Mark II", "EF8-15mm f/4L FISHEYE USM"),
         ("", "", ""),
+        ("Nikon\0", "%s%n <b>", "\\x00" * 4_000),
     ],
 )
 def test_a_lens_that_is_not_known_is_none(make: str, model: str, lens: str) -> None:

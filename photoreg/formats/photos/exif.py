@@ -185,7 +185,7 @@ def _lens(
     if focal is None or focal_mm is None or crop is None or crop.is_cropped:
         return None
     make, model, lens_model = (
-        str(value or "").strip("\0 ")
+        str(value or "").encode("ascii", "ignore").decode().strip("\0 ")
         for value in (
             exif.get(ExifTags.Base.Make),
             exif.get(ExifTags.Base.Model),
