@@ -52,10 +52,10 @@ MAX_LOST = 10
 attempts is cut short by chance, ten in a row are one object in ten million."""
 
 WAITING = 200
-"""Objects at the scheduler at most, beside those at work: it need not hold ten thousand."""
+"""At most this many objects wait at the scheduler: it need not hold ten thousand."""
 
 REPLACE_S = 60.0
-"""A worker that was not back for so long is replaced; starting one takes 3 to 10 s."""
+"""A worker that has been gone for this long is replaced; one starts in 3 to 10 s."""
 
 POLL_S = 0.5
 SUMMARY_PERIOD_S = 60.0
@@ -79,7 +79,7 @@ class BatchProgress:
     workers: int
     elapsed_s: float
     per_hour: float | None
-    """Objects done an hour; None before the first is."""
+    """Objects done per hour; None before the first is."""
     time_left_s: float | None
     dashboard: str
     """Where Dask's dashboard is; empty where there is none."""
@@ -106,7 +106,7 @@ class BatchConfig:
     ship: bool = False
     """Send the files with each task, for workers that do not see the same disk."""
     workers: int | None = None
-    """Objects at a time on this machine, each in a process of its own; None: one a core."""
+    """Objects at a time on this machine, each in its own process; None: one per core."""
     limit_min: float | None = None
     """Minutes after which an attempt is taken for hung, and its worker's process ends;
     None: never."""
@@ -293,8 +293,8 @@ class _Batch:
                 self._take(timeout_s=POLL_S if room <= 0 or not left else 0.0)
                 if client.status not in ("running", "connecting"):
                     raise OutputError(
-                        "The connection to Dask's scheduler is lost. What is done is "
-                        "kept; the same command goes on where it was."
+                        "The connection to Dask's scheduler was lost. What is done is "
+                        "kept; run the same command again to go on."
                     )
                 if time.monotonic() > self._written_at + SUMMARY_PERIOD_S:
                     write_summary(self._out, self._shown_rows())
@@ -361,7 +361,7 @@ class _Batch:
         )
 
     def _take(self, timeout_s: float) -> None:
-        """Sees to attempts that have ended; waits so long for the first."""
+        """Deals with attempts that have ended; waits this long for the first."""
         try:
             future = self._ended.get(timeout=timeout_s) if timeout_s else None
             while True:
@@ -410,7 +410,7 @@ class _Batch:
         self._done += 1
 
     def _lose(self, attempts: _Attempts, why: str) -> None:
-        """An attempt was lost with its worker, or for want of memory: it is made again."""
+        """An attempt was lost with its worker, or ran out of memory: try again."""
         attempts.lost.append(self._what_hung(attempts) or why)
         self._lost += 1
         if len(attempts.lost) < MAX_LOST:
@@ -419,12 +419,12 @@ class _Batch:
         self._set_row(
             attempts,
             "lost",
-            f"{MAX_LOST} attempts were lost with their workers, the last as: "
+            f"{MAX_LOST} attempts were lost with their workers, the last like this: "
             f"{attempts.lost[-1].splitlines()[0]} The next batch tries it again.",
         )
 
     def _what_hung(self, attempts: _Attempts) -> str:
-        """What a worker was at that ended itself; what it left is removed."""
+        """What a worker was doing when it ended itself; what it left is removed."""
         told = ""
         beginning = _scratch(attempts) + "-"
         for entry in os.scandir(self._out):
@@ -437,7 +437,7 @@ class _Batch:
         return told
 
     def _fail(self, attempts: _Attempts, outcome: Outcome) -> None:
-        """An attempt failed by the object's own fault."""
+        """An attempt failed because of the object itself."""
         attempts.failures.append(outcome)
         if len(attempts.failures) < MAX_FAILURES:
             self._again.append(attempts)
@@ -506,7 +506,7 @@ def _scratch(attempts: _Attempts) -> str:
 
 
 def _key(attempts: _Attempts, name: str) -> str:
-    """An attempt's name in Dask, to which tasks are alike whose keys begin alike."""
+    """An attempt's key in Dask, which groups tasks whose keys begin alike."""
     return f"object-{attempts.index}-{attempts.number}-{os.getpid()}-{name}"
 
 
@@ -521,7 +521,7 @@ def _contents(thing: CollectionObject, attempts: _Attempts) -> dict[str, bytes]:
     outside = [name for name in names if Path(name).is_absolute()]
     if outside:
         raise InputError(
-            f"{outside[0]} lies outside of {thing.base}. Only what lies with the table is "
+            f"{outside[0]} lies outside {thing.base}. Only what lies with the table is "
             "sent to workers (--ship)."
         )
     for name in names - attempts.files.keys():

@@ -71,7 +71,7 @@ def connected(scheduler: str | None, n_workers: int, threads: int) -> Iterator[A
                 {
                     # Each death of a worker is counted here, see `Attempts`.
                     "distributed.scheduler.allowed-failures": 0,
-                    # No object waits at a worker that may die of another one.
+                    # No object waits at a worker that may die because of another one.
                     "distributed.scheduler.worker-saturation": 1.0,
                     GIVES_BACK_AT_ONCE: None,
                 }

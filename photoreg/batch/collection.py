@@ -50,7 +50,7 @@ class CollectionObject:
     name: str
     """Of its folder among the results; unique."""
     base: Path
-    """The folder that its files' paths are told from."""
+    """The folder that its files' paths are relative to."""
     settings: ObjectSettings
     given: Inputs | None = None
     """As a row has them; None: to be found in ``base``."""
@@ -89,12 +89,12 @@ class CollectionObject:
         return found
 
     def told(self, path: Path) -> str:
-        """A path as it is kept: from ``base`` where it lies below it."""
+        """A path as it is kept: relative to ``base`` if it lies in there."""
         return told_from(self.base, path)
 
 
 def told_from(base: Path, path: Path) -> str:
-    """A path from a folder where it lies below it, else as it is."""
+    """A path relative to a folder if it lies in there, else as it is."""
     path = Path(os.path.normpath(path.absolute()))
     return str(path.relative_to(base) if path.is_relative_to(base) else path)
 
@@ -183,7 +183,7 @@ def read_collection(path: Path, settings: ObjectSettings) -> list[CollectionObje
         found = _read_table(path, settings)
     elif path.exists():
         raise InputError(
-            f"{path} should be a folder with a folder an object, or a table (.csv)."
+            f"{path} should be a folder with one folder per object, or a table (.csv)."
         )
     else:
         raise InputError(f"The collection {path} does not exist. Check the path.")
@@ -229,7 +229,7 @@ def _why_no_name(name: str, seen: dict[str, str]) -> str:
         return f"{name} cannot be an object's name: photoreg has a file of that name."
     if key in seen:
         return (
-            f"{name} and {seen[key]} are one name where capital and small letters are "
+            f"{name} and {seen[key]} are the same name where capital and small letters are "
             "the same. Rename one."
         )
     seen[key] = name
@@ -282,7 +282,7 @@ def _read_table(path: Path, settings: ObjectSettings) -> list[CollectionObject]:
             found.append(_object_of(row, path.parent, where, settings, seen))
     except csv.Error as error:
         raise InputError(
-            f"{path.name}, line {reader.line_num}: this is no CSV ({error})."
+            f"{path.name}, line {reader.line_num}: this is not CSV ({error})."
         ) from error
     return found
 
@@ -294,7 +294,7 @@ def _check_header(header: Sequence[str], name: str) -> None:
         wrong = listed([repr(column) for column in unknown or twice[:1]])
         raise InputError(
             f"{name}, line 1: there should be columns of {', '.join(COLUMNS)}, each "
-            f"once and parted by commas, but there is {wrong}"
+            f"once and separated by commas, but there is {wrong}"
             f"{'' if unknown else ' twice'}."
         )
     missing = [column for column in _NEEDED if column not in header]
@@ -342,7 +342,7 @@ def _settings_of(
     changes: dict[str, Any] = {}
     if seed := row.get("seed"):
         if not seed.isdecimal():
-            raise InputError(f"{where}, column seed: {seed!r} is no whole number.")
+            raise InputError(f"{where}, column seed: {seed!r} is not a whole number.")
         changes["seed"] = int(seed)
     if distortion := row.get("distortion"):
         changes["distortion"] = _choice(
@@ -363,7 +363,7 @@ def _settings_of(
 
 def _choice(text: str, choices: Sequence[str], where: str) -> Any:
     if text not in choices:
-        raise InputError(f"{where}: {text!r} is none of {', '.join(choices)}.")
+        raise InputError(f"{where}: {text!r} is not one of {', '.join(choices)}.")
     return text
 
 

@@ -64,14 +64,16 @@ def opened_files(folder: Path) -> tuple[list[Path], Path]:
     """
     record = load_record(folder)
     if record is None:
-        raise InputError(f"{folder} is no object's folder that `photoreg batch` made.")
+        raise InputError(
+            f"{folder} is not an object's folder made by `photoreg batch`."
+        )
     inputs = record.inputs()
     files = [inputs.mesh, *inputs.photos]
     for path in files:
         if not path.is_file():
             raise InputError(
-                f"{path}, of which {folder.name} was made, is not there any more. Put it "
-                "back, or make the batch anew where the objects are now."
+                f"{path}, of which {folder.name} was made, is no longer there. Put it "
+                "back, or run the batch again where the objects are now."
             )
     own = folder / CAMERAS
     return files, own if own.is_file() else inputs.cameras

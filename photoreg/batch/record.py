@@ -38,7 +38,7 @@ class ObjectRecord:
     settings: str
     """Their fingerprint."""
     base: str
-    """The folder that the paths below are told from."""
+    """The folder that the paths below are relative to."""
     mesh: str
     photos: tuple[str, ...]
     cameras: str
@@ -47,7 +47,7 @@ class ObjectRecord:
     outputs: tuple[str, ...] = ()
     """Files in its folder."""
     figures: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    """What the summary tells of it."""
+    """What the summary says about it."""
 
     def inputs(self) -> Inputs:
         """Its files, where they were."""
@@ -112,7 +112,7 @@ def hashed(
     """Files as a record has them: those that were read with their hashes.
 
     Args:
-        base: The folder that paths are told from.
+        base: The folder that paths are relative to.
         states: The files and their states before they were read.
         read: Those of them, and others, that were read.
 
@@ -124,7 +124,7 @@ def hashed(
         now = state_of(base / name)
         before = states.get(name, now)
         if now is None or now != before:
-            raise InputError(f"{base / name} has changed while it was read.")
+            raise InputError(f"{base / name} changed while it was being read.")
         sha256 = source_file(base / name).sha256 if name in read else ""
         found[name] = (*now, sha256)
     return found

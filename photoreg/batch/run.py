@@ -60,7 +60,7 @@ SCRATCH = ".photoreg-"
 """Folders in which results lie until they are whole begin so."""
 
 _SCRATCH_NAME = re.compile(re.escape(SCRATCH) + r"\d+-\d+-.+-\d+-[0-9a-f]{6}")
-"""The whole of their names: object, attempt, host, process, and what makes it the only one."""
+"""Their whole names: object, attempt, host, process, and what makes them unique."""
 
 MAX_THREADS: int = numba.get_num_threads()
 """Of numba, in this process."""
@@ -75,7 +75,7 @@ class ObjectTask:
 
     name: str
     base: Path
-    """The folder that its files' paths are told from."""
+    """The folder that its files' paths are relative to."""
     inputs: Inputs
     files: Mapping[str, FileState]
     """All files that it may consist of, as they were when the task was made."""
@@ -190,11 +190,11 @@ def _scratch_folder(out: Path, name: str) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def _limited(limit_s: float | None, trace: Path | None) -> Iterator[None]:
-    """Ends the process after so long, whatever it is at: even compiled code that hangs.
+    """Ends the process after so long, even where compiled code hangs.
 
     Args:
         limit_s: After how many seconds; None: never.
-        trace: Where it is written what the process was at; None: nowhere.
+        trace: Where to write what the process was doing; None: nowhere.
     """
     if limit_s is None:
         yield
@@ -256,7 +256,7 @@ def make_results(task: ObjectTask, base: Path, folder: Path) -> ObjectRecord:
 def _refine_and_write(
     scene: LoadedScene, settings: ObjectSettings, folder: Path, name: str
 ) -> dict[str, Any]:
-    """Cameras, model, report and thumbnails; returns what the summary tells."""
+    """Cameras, model, report and thumbnails; returns what the summary says."""
     mesh, photos = scene.mesh, scene.photos
     names = [photo.name for photo in photos]
     freedom = Freedom.of_photos(

@@ -52,7 +52,7 @@ ORDER = (
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SummaryRow:
-    """What is told of an object."""
+    """What is said about an object."""
 
     name: str
     status: Status
@@ -170,7 +170,7 @@ def write_summary(out: Path, rows: Sequence[SummaryRow]) -> tuple[Path, Path]:
 
 
 def check_summary(out: Path) -> None:
-    """Checks that it can be written, before the long work that it tells of.
+    """Checks that it can be written, before the long work that it sums up.
 
     Raises:
         OutputError: if it cannot, or other files have its names.

@@ -81,7 +81,7 @@ def texture_command(
     elapsed_s = time.perf_counter() - began
     height, width = textured.texture.shape[:2]
     log.print(
-        f"{percent(textured.seen_share)} of the surface is seen by a photo "
+        f"{percent(textured.seen_share)} of the surface is painted from photos "
         f"({_shares(pictures, textured)}). Texture "
         f"{width}x{height}, {textured.layout_in_words}, {elapsed_s:.1f} s. "
         f"Written: {', '.join(str(path) for path in written)}."

@@ -15,9 +15,9 @@ N_FIRST, SIDE_FIRST_PX, STEPS_FIRST = 80, 112, 8
 N_SECOND, SIDE_SECOND_PX, STEPS_SECOND = 16, 224, 10
 """The same of the best of these that differ."""
 N_KEPT = 24
-"""Poses that differ that other photos may choose from."""
+"""Distinct poses that other photos may choose from."""
 SAME_DEG = 6.0
-"""Poses nearer than this are the same, met twice."""
+"""Poses nearer than this are the same one, found twice."""
 FINE_FACES = 20_000
 GUESSED_FOCAL = 1.2
 """Focal length over the photo's longer side where nobody knows it: a phone's is 0.75, a

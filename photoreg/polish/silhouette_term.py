@@ -36,7 +36,7 @@ CUT = 2.0
 MIN_SIGMA_PX = 0.1
 """Least residual scale, in pixels: edges are not found better than this."""
 SEGMENT_POINTS = 12
-"""Rim points, on average, that share an offset: an edge is wrong over a stretch."""
+"""Rim points, on average, that share an offset: edges are off by whole stretches."""
 SEGMENT_SIDE = 4.0 / np.pi * SEGMENT_POINTS
 """A segment is what a square cell of the view holds of the rim. This is its side in
 strides: the mean chord of a square is a quarter of pi of it."""

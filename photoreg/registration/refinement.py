@@ -485,7 +485,7 @@ class _Run:
         does not convince: the polish's own falls at wrong ends too.
         """
         assert step.disagreement is not None
-        # For what began at the start the polish has answered that already.
+        # A polish that began at the start has answered that already.
         if step.start_disagreement is start or is_no_worse(
             self.mesh,
             self.reduced,

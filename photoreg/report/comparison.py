@@ -60,7 +60,7 @@ def aligned_pair(
         overlay: The mesh and the photos.
         cameras: One camera a photo.
         onto: Index of the photo underneath.
-        quick: Whether a picture that is soon overtaken will do.
+        quick: Whether a rough picture will do, because the next one follows soon.
     """
     if len(cameras) == 1:
         return overlay.shape_pair(cameras, onto)

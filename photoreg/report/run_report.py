@@ -24,7 +24,7 @@ WIDTH, HEIGHT, MARGIN = 760, 300, 56
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RunReport:
-    """What a report tells of a refinement."""
+    """What a report says about a refinement."""
 
     title: str
     subtitle: str
@@ -73,7 +73,7 @@ def report_html(run: RunReport) -> str:
         pictures=pictures,
         numbers=_rows(_numbers(run)),
         certainty=_list(run.certainty)
-        or "<p>No polish ran, so nothing is known of it.</p>",
+        or "<p>No polish ran, so nothing is known about it.</p>",
         curve=curve_svg(run.curve),
         cameras=_cameras(run),
         settings=_rows(_settings(run.config)),

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def __getattr__(name: str) -> Any:
-    # Late: the settings are had without what bakes.
+    # Lazy, so that the settings can be imported without what bakes.
     if name in ("BakingStep", "TexturedMesh", "bake_texture", "baking"):
         return getattr(importlib.import_module("photoreg.texture.bake"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

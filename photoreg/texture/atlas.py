@@ -70,10 +70,10 @@ def make_atlas(mesh: Mesh, keep_uv: bool = True) -> Atlas:
 
 
 def _own_atlas(mesh: Mesh, corner_uv: Float[np.ndarray, "m 3 2"]) -> Atlas | str:
-    """The mesh's own coordinates; if they cannot hold a texture, what they do instead."""
+    """The mesh's own coordinates, or why they cannot hold a texture."""
     uv = corner_uv.reshape(-1, 2)
     if not np.isfinite(uv).all() or uv.min() < -1e-6 or uv.max() > 1.0 + 1e-6:
-        return "leaves the picture"
+        return "goes beyond the picture"
     flat = (mesh.face_areas > NO_AREA * mesh.area) & ~(_areas(corner_uv) > NO_AREA)
     if flat.any():
         return f"has no place for {flat.sum():,} of its {len(flat):,} faces"
@@ -102,12 +102,12 @@ def _areas(corners: Float[np.ndarray, "m 3 2"]) -> Float[np.ndarray, "m"]:
 def _charts(mesh: Mesh) -> Atlas:
     """Charts by projection, packed by xatlas.
 
-    Charts cut by xatlas were tried, and stretch less: at most 1.05 and 1.11 over 95 % of
-    the demo (20,480 faces) and of a noisy scan (20,000), where these stretch by 1.6 and
-    2.0. But they take 4.0 s and 3.7 s instead of 0.8 s and 0.5 s, and 228 s instead of 8 s
-    for a noisy scan of 200,000 faces; they are more (58 and 728, not 21 and 693), fill
-    the texture no better (0.55 and 0.56, not 0.51 and 0.54), and the demo's texture is
-    the same to 0.2 dB.
+    Charts cut by xatlas were tried, and stretch less: at most 1.05 and 1.11 over 95 %
+    of the demo (20,480 faces) and of a noisy scan (20,000), where these stretch by 1.6
+    and 2.0. But they take 4.0 s and 3.7 s instead of 0.8 s and 0.5 s, and 228 s instead
+    of 8 s for a noisy scan of 200,000 faces; there are more of them (58 and 728, not 21
+    and 693), fill the texture no better (0.55 and 0.56, not 0.51 and 0.54), and the
+    demo's texture is the same to 0.2 dB.
     """
     flat = project_charts(mesh, PADDING_TEXELS / PACKING_RESOLUTION)
     # Corners of one vertex at one place of a chart are one row; charts lie apart.

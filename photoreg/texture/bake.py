@@ -252,7 +252,7 @@ def _check_own_colours(mesh: Mesh, config: TextureConfig) -> None:
     ):
         raise InputError(
             f"{mesh.name} has neither a texture nor colours at its vertices, so unseen "
-            "faces cannot keep their own; choose to diffuse, or one colour."
+            "faces cannot keep their own; choose diffuse, or one colour."
         )
 
 
@@ -301,7 +301,8 @@ def _check_photos(photos: Sequence[Photo], cameras: Sequence[Camera]) -> None:
 def _pixels_per_unit(mesh: Mesh, cameras: Sequence[Camera]) -> float:
     """Resolution on the surface of the nearest camera: its median over the faces seen.
 
-    Foreshortening is left out: where one photo sees a face flat, another will not.
+    Foreshortening is left out: where one photo sees a face at a grazing angle, another
+    sees it better.
     """
     centers = mesh.vertices[mesh.faces].mean(axis=1)
     best = np.zeros(len(centers))

@@ -92,9 +92,9 @@ def outward_normals(
 def _smooth_normals(mesh: Mesh) -> Float[np.ndarray, "k 3"]:
     """Normals of vertices without the mesh's roughness.
 
-    Scanned surfaces are rough; seen flat, every bump of the ground would change from
-    painted to unpainted and back. Only vertices nearer than a bump have a say, so the
-    edges of a coarse mesh stay as they are.
+    Scanned surfaces are rough; seen at a grazing angle, every bump of the ground would
+    flip between painted and unpainted. Only vertices nearer than a bump have a say, so
+    the edges of a coarse mesh stay as they are.
     """
     corners = mesh.position_index[mesh.faces]
     edges = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
@@ -149,7 +149,7 @@ def blend_photo(
     height, width = photo.depth.shape
     low_scale = np.array([photo.low.shape[1] / width, photo.low.shape[0] / height])
     inverse_K = np.linalg.inv(camera.K).T
-    # In parts: what is known of a part's texels need not be kept for all.
+    # In parts, so that memory holds what is known of one part's texels only.
     for start in range(0, len(table.index), TEXELS_AT_A_TIME):
         part = slice(start, start + TEXELS_AT_A_TIME)
         geometry = table.width, table.corners_px, mesh.vertices, mesh.faces
@@ -233,8 +233,8 @@ def exposure_gains(
     or a passer-by does not count; the gains' geometric mean is 1.
 
     The gains that a refinement fits on its way are not used: they are those of CIE LUV,
-    on blurred levels, and cameras need not come from a refinement. On a made shell with
-    one photo 15 to 25 % darker these here are within 0.2 % of the true ones.
+    on blurred levels, and cameras need not come from a refinement. On a synthetic shell
+    with one photo 15 to 25 % darker these are within 0.2 % of the true ones.
 
     Args:
         logs: For each photo what `log_colours` saw at the same texels.

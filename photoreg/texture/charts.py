@@ -168,7 +168,7 @@ def _layout(
     low, high = _chart_boxes(flat, chart, n_charts)
     flat -= low[chart][:, None]
     extent = high - low
-    # Lying charts make low shelves of even height.
+    # Charts laid on their long side make low shelves of even height.
     tall = extent[:, 1] > extent[:, 0]
     turned = np.stack(
         [flat[:, :, 1], extent[chart, 0][:, None] - flat[:, :, 0]], axis=2

@@ -35,7 +35,7 @@ class TextureConfig:
     """Keep the mesh's own texture coordinates, if it has any that can hold a texture;
     else it is laid out anew."""
     max_angle_deg: float = 78.0
-    """Surface seen at a flatter angle from its normal is not painted, in (0, 90)."""
+    """Surface seen at a larger angle from its normal is not painted, in (0, 90)."""
     margin: float = 0.003
     """Nearest to a silhouette, a jump in depth or the photo's border that colours are
     taken, as a share of the photo's longer side, but at least 2 pixels: lenses

@@ -133,7 +133,7 @@ def _clumps(indptr, indices):  # noqa: ANN001, ANN202
     """Of each vertex the clump it belongs to, and the number of clumps.
 
     A clump is a vertex and all its neighbours, where none of them is in another yet;
-    who is left over joins a neighbour's.
+    what is left over joins a neighbour's.
     """
     n = len(indptr) - 1
     clump = np.full(n, -1, dtype=np.int32)
@@ -148,7 +148,7 @@ def _clumps(indptr, indices):  # noqa: ANN001, ANN202
                 clump[indices[e]] = count
             count += 1
     for row in range(n):
-        # What is left over has a neighbour in a clump: else it were one itself.
+        # What is left over has a neighbour in a clump, or it would be one itself.
         for e in range(indptr[row], indptr[row + 1]):
             if clump[row] < 0 and clump[indices[e]] >= 0:
                 clump[row] = clump[indices[e]]

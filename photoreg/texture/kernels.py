@@ -10,7 +10,7 @@ import numpy as np
 from photoreg.geometry.projection import homogeneous
 
 MIN_FACING = 0.05
-"""The face itself, and not only the smooth surface, must look at the camera."""
+"""The face itself, and not only the smooth surface, must face the camera."""
 
 SHARPNESS = 6
 """Power of the weight for detail: nearly the best view alone, yet without a cut."""
@@ -179,8 +179,9 @@ def weigh(  # noqa: ANN201
 ):
     """How much a photo counts at each texel, (n,) float32, and how well it sees it.
 
-    Zero where it does not: outside the photo, near an edge, seen flat or from behind,
-    or hidden as far as the depth at the nearest pixel tells; rays tell the rest.
+    Zero where it does not: outside the photo, near an edge, seen at a grazing angle or
+    from behind, or hidden as far as the depth at the nearest pixel tells; rays tell the
+    rest.
 
     Args:
         texel: (n,) flat index of each texel in the atlas.

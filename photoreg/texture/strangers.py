@@ -1,4 +1,4 @@
-"""What stands before the object in one photo, found where the other photos disagree."""
+"""What stands in front of the object in a photo, found where other photos disagree."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -11,25 +11,25 @@ from photoreg.geometry.camera import Camera, reduced_size
 from photoreg.imaging.photo import Photo
 
 LEAST_PHOTOS = 3
-"""Of two that disagree nobody knows which is right."""
+"""Where only two disagree, there is no telling which is right."""
 LEAST_LOG_RATIO = 0.25
-"""Colours that differ by less, in a logarithm of a channel, may be of one surface: by
-angle, light and what a pixel of misalignment does."""
+"""Colours that differ by less, in a logarithm of a channel, may be of one surface:
+because of angle, light and misalignment by a pixel."""
 SPREADS = 4.0
-"""So many robust standard deviations of a photo's difference are its usual ones."""
+"""Differences within this many robust standard deviations are usual for a photo."""
 DARKEST, BRIGHTEST = 8.0, 247.0
-"""Levels beyond are taken for these: a black bar is as far off as can be told."""
+"""Levels beyond are clipped to these: a black bar is as far off as can be told."""
 GRID_SIDE = 256
 """Cells along a photo's longer side in which differing texels are counted."""
 BLUR_CELLS = 1.0
 LEAST_SHARE = 0.5
-"""Of the texels around a cell: where more of them differ, something stands before."""
+"""Share of the texels around a cell: where more differ, something stands in front."""
 TEXELS_AT_A_TIME = 20_000
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Stranger:
-    """What of one photo shows something else than the surface."""
+    """Where a photo shows something other than the surface."""
 
     area: Bool[np.ndarray, "h w"]
     """Where, on a coarse grid over the photo."""
@@ -56,7 +56,7 @@ def find_strangers(
     colours: Sequence[Float[np.ndarray, "n 3"]],
     gains: Float[np.ndarray, "m 3"],
 ) -> list[Stranger]:
-    """What of each photo disagrees with the others where three or more see a place.
+    """Where each photo disagrees with the others, among places that three or more see.
 
     A colour differs if it is far from the median of all photos that see the place, and
     most of them, two at least, are near it. What differs over an area is left out; single
@@ -71,7 +71,7 @@ def find_strangers(
     References:
         The photo-consistency check of M. Waechter, N. Moehrle and M. Goesele, "Let There
         Be Color! Large-Scale Texturing of 3D Reconstructions", ECCV 2014, section 3.1,
-        doi:10.1007/978-3-319-10602-1_54, with medians for means.
+        doi:10.1007/978-3-319-10602-1_54, with medians instead of means.
     """
     n = len(points)
     differs = np.zeros((len(cameras), n), dtype=bool)
@@ -112,7 +112,7 @@ def _off_median(
 def _usual_differences(
     colours: Sequence[np.ndarray], gains: np.ndarray
 ) -> Float[np.ndarray, "m 3"]:
-    """How far each photo's colours are from the median for no reason, by channel."""
+    """How far each photo's colours usually are from the median, by channel."""
     step = max(1, len(colours[0]) // TEXELS_AT_A_TIME)
     off, seen = _off_median([one[::step] for one in colours], gains)
     usual = np.full((len(colours), 3), LEAST_LOG_RATIO)

@@ -17,7 +17,7 @@ EDGE_JUMP_PX = 5.0
 """A step in depth of less than so many pixels hides nothing that a photo registered
 to a pixel would show otherwise; rough surfaces are full of such steps."""
 SPILL_SIDE_PX = 1024
-"""Longer side of the picture in which spilt background is looked for."""
+"""Longer side of the picture in which background on the mesh is looked for."""
 SPILL_REACH = 0.01
 """How far over the mesh's outline the background is looked for, as a share of the
 photo's longer side: meshes from photos are some pixels too fat."""
@@ -25,7 +25,7 @@ SPILL_CONTRAST = 3.0
 """Least distance between the colours within and outside, in standard deviations of
 them: where they are alike, nothing can be told and nothing shows."""
 NOISE = 6.0
-"""Levels of grey by which colours differ for no reason."""
+"""Grey levels by which even equal colours differ."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -153,7 +153,7 @@ def _nearby(
     y: Int[np.ndarray, "n"],
     sigma_px: float,
 ) -> _Nearby:
-    # On a coarse grid: so wide a blur has nothing finer to tell.
+    # On a coarse grid: so wide a blur holds nothing finer.
     step = max(1, int(sigma_px / 3.0))
     height, width = region.shape
     size = (max(1, width // step), max(1, height // step))

@@ -104,7 +104,7 @@ ROW = "a,a/rock.ply,a,a/rough.json"
         (["object,mesh,photos"], "line 1: there is no column cameras"),
         (["object,mesh,photos,cameras,colour"], "line 1: .* but there is 'colour'"),
         (["object,mesh,photos,cameras,mesh"], "line 1: .* 'mesh' twice"),
-        (["object;mesh;photos;cameras"], "parted by commas"),
+        (["object;mesh;photos;cameras"], "separated by commas"),
         (["object,mesh,photos,cameras", ROW, "b,c"], "line 3: there are 2 cells for 4"),
         (
             ["object,mesh,photos,cameras", ROW, ROW.replace("a,", "A,", 1)],
@@ -120,9 +120,9 @@ ROW = "a,a/rock.ply,a,a/rough.json"
         (["object,mesh,photos,cameras,seed", f"{ROW},99999999999999999999"], "seed is"),
         (
             ["object,mesh,photos,cameras,preset", f"{ROW},best"],
-            "preset: 'best' is none",
+            "preset: 'best' is not one of",
         ),
-        (["object,mesh,photos,cameras,distortion", f"{ROW},k9"], "'k9' is none of"),
+        (["object,mesh,photos,cameras,distortion", f"{ROW},k9"], "'k9' is not one of"),
         (["object,mesh,photos,cameras"], "There are no objects"),
     ],
 )

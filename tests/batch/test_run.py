@@ -200,7 +200,7 @@ def test_what_a_person_mends_counts_as_done_and_comes_into_the_summary(done):
 def test_an_object_s_folder_says_where_its_files_have_gone(done):
     thing, out = done
     thing.inputs().mesh.rename(thing.base / "elsewhere")
-    with pytest.raises(InputError, match="is not there any more"):
+    with pytest.raises(InputError, match="is no longer there"):
         opened(out / thing.name)
 
 

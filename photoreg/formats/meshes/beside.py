@@ -12,8 +12,8 @@ def find_beside(
 ) -> tuple[Path | None, str]:
     """The file that a mesh, or its MTL file, means by a name.
 
-    Names were often written on another system: backslashes part folders, and capitals
-    do not matter where no file has just these. Where there is nothing at the place that
+    Names were often written on another system: backslashes separate folders, and case
+    does not matter where no file has just these. Where there is nothing at the place that
     is named, a file of that name right beside the mesh is meant: it came without its
     folder.
 

@@ -57,7 +57,7 @@ _CHANGES_GEOMETRY = {
     "KHR_meshopt_compression": "is compressed by meshopt; export it without, or convert "
     "it with: gltf-transform copy IN.glb OUT.glb",
     "KHR_gaussian_splatting": "holds splats, not a surface; export a mesh",
-    "CESIUM_RTC": "is placed about a centre of its own (CESIUM_RTC); apply it",
+    "CESIUM_RTC": "is placed relative to a centre of its own (CESIUM_RTC); apply it",
 }
 _NEVER_OPTIONAL = ("EXT_mesh_gpu_instancing", "CESIUM_RTC")
 """Of these, those that change geometry also where the file does not require them."""
@@ -383,7 +383,7 @@ class _Plain:
 
 
 def _contents(name: str, scene: Any, limits: Limits, notes: list[str]) -> MeshContents:
-    """All parts of a scene behind one another, each where it is placed."""
+    """All parts of a scene, one after the other, each where it is placed."""
     places = [scene.graph[node] for node in _sorted_nodes(scene)]
     parts = [(matrix, scene.geometry[geometry]) for matrix, geometry in places]
     parts = [(matrix, part) for matrix, part in parts if hasattr(part, "faces")]

@@ -31,7 +31,7 @@ _KNOWN = (
     *(b"usemtl", b"mtllib", b"usemap", b"maplib", b"bevel", b"c_interp", b"d_interp"),
     *(b"lod", b"shadow_obj", b"trace_obj", b"parm", b"end", *_CURVED),
 )
-"""Words that a line may begin with; others are told."""
+"""Words that a line may begin with; others are reported."""
 
 _COMMENT = re.compile(rb"(?m)^([ \t]*(?:v|vt|vn|f)[ \t][^#\r\n]*)(?<=[ \t])#[^\r\n]*")
 """A comment behind numbers, which tinyobjloader does not expect. It begins a word: what
@@ -206,7 +206,7 @@ def _vertices(
             f"but one has {width}. Export it again."
         )
     if width == 7 and not (table[:, 3] == 1.0).all():
-        # Not x y z w red green blue, but alpha behind the colours.
+        # Not x y z w red green blue, but alpha after the colours.
         table, width = table[:, :6], 6
     if width == 4 and not (table[:, 3] == 1.0).all():
         raise InputError(
@@ -215,8 +215,8 @@ def _vertices(
         )
     if width not in (3, 4, 6, 7):
         raise InputError(
-            f"{name} has vertices of {width} numbers; x, y and z are understood, with a "
-            "weight or a colour behind. Export it again."
+            f"{name} has vertices of {width} numbers; x, y and z are understood, and "
+            "a weight or a colour after them. Export it again."
         )
     # x y z, or x y z w, and perhaps red, green, blue behind it.
     colours = colours_of(table[:, -3:]) if width >= 6 else None

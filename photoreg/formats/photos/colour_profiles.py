@@ -49,7 +49,7 @@ SAME_LEVELS = 1
 
 @dataclasses.dataclass(frozen=True)
 class CodedColours:
-    """What a photo's numbers mean, said by numbers."""
+    """What a photo's values mean, given in numbers."""
 
     primaries: tuple[float, ...] = SRGB_PRIMARIES
     """x and y of red, green, blue and white."""
@@ -94,7 +94,7 @@ def colours_of_h273(name: str, primaries: int, transfer: int) -> CodedColours:
         raise is_hdr(name, HDR_CURVES[transfer])
     if primaries not in H273_PRIMARIES or transfer not in H273_GAMMAS:
         raise InputError(
-            f"{name} codes its colours in a way that photoreg does not know (primaries "
+            f"{name} encodes its colours in a way that photoreg does not know (primaries "
             f"{primaries}, transfer {transfer} of ITU-T H.273). Save it in sRGB."
         )
     return CodedColours(H273_PRIMARIES[primaries], H273_GAMMAS[transfer])
@@ -109,7 +109,7 @@ def colours_of_png(name: str, chunks: dict[bytes, bytes]) -> CodedColours | None
     if len(cicp := chunks.get(b"cICP", b"")) == 4:
         if cicp[2] != 0 or cicp[3] != 1:
             raise InputError(
-                f"{name} codes its colours for video (cICP {list(cicp)}), which a PNG "
+                f"{name} encodes its colours for video (cICP {list(cicp)}), which a PNG "
                 "should not. Save it in sRGB."
             )
         return colours_of_h273(name, cicp[0], cicp[1])
@@ -122,7 +122,7 @@ def colours_of_png(name: str, chunks: dict[bytes, bytes]) -> CodedColours | None
         value = int.from_bytes(gama, "big") / 100_000
         if not 0.1 <= value <= 10.0:
             raise InputError(
-                f"{name} says a gamma of {value:g} (gAMA), which cannot be. Save it "
+                f"{name} gives a gamma of {value:g} (gAMA), which is impossible. Save it "
                 "in sRGB."
             )
         gamma = 1.0 / value

@@ -299,7 +299,7 @@ def _check_projection(name: str, facts: PhotoFacts) -> None:
 
 
 def _chosen_page(path: Path, kind: PhotoFormat, image: Image.Image) -> int:
-    """Turns to the photo among a file's pictures; its number.
+    """Moves to the photo among a file's pictures; its number.
 
     Raises:
         InputError: if there are several that it could be.
@@ -470,7 +470,7 @@ def _deep_values(
     )
     values = pages[0]
     if values.dtype != np.uint16 or values.ndim != 3 or values.shape[2] < 3:
-        raise ValueError("OpenCV read something else than Pillow saw")
+        raise ValueError("OpenCV read something other than Pillow saw")
     return values[:, :, 2::-1]
 
 

@@ -1,4 +1,4 @@
-"""What EXIF and XMP tell of a photo: its turn, its lens, whether it was cropped.
+"""What EXIF and XMP say about a photo: its turn, its lens, whether it was cropped.
 
 EXIF is often wrong, so nothing of it is an error: what cannot be is passed over, and
 what can be doubted is said with the value.
@@ -39,7 +39,7 @@ class Focal:
 
 @dataclasses.dataclass(frozen=True)
 class PhotoFacts:
-    """What a photo's metadata tells."""
+    """What a photo's metadata says."""
 
     orientation: int = 1
     """EXIF's, 1 to 8."""
@@ -57,7 +57,7 @@ class PhotoFacts:
 def facts_of(
     exif: Image.Exif, xmp: bytes, width: int, height: int, is_raw: bool = False
 ) -> PhotoFacts:
-    """What the metadata of a photo tells.
+    """What the metadata of a photo says.
 
     Args:
         exif: Its EXIF; empty if there is none.
@@ -114,7 +114,7 @@ class _Crop:
     is_cropped: bool
     is_resized: bool
     scale: float
-    """Pixels of the file a pixel of the photo as taken."""
+    """Pixels of the file per pixel of the photo as taken."""
 
 
 def _crop(get: Callable, width: int, height: int, is_raw: bool) -> _Crop | None:
@@ -208,7 +208,7 @@ def _by_sensor(
         return None
     focal_px = focal_mm / unit_mm * per_unit * crop.scale
     equivalent = focal_px / diagonal_px * FILM_DIAGONAL_MM
-    # Wrong units make sensors of a pinhead or of a wall.
+    # Wrong units make sensors the size of a pinhead or of a wall.
     sensor_mm = diagonal_px / (per_unit * crop.scale) * unit_mm
     can_be = SHORTEST_MM <= equivalent <= LONGEST_MM and 3.0 <= sensor_mm <= 80.0
     return equivalent if can_be else None

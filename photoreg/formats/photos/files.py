@@ -31,7 +31,7 @@ def stored_size(path: Path) -> tuple[int, int]:
 
 
 def is_turned(path: Path) -> bool:
-    """Whether EXIF asks to show the photo otherwise than its pixels are stored.
+    """Whether EXIF asks for the photo to be shown turned from how it is stored.
 
     Raises:
         InputError: if it is not a photo that can be read.

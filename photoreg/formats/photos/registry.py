@@ -24,7 +24,7 @@ class PhotoFormat:
     pillow_names: tuple[str, ...] = ()
     """What Pillow calls it and what it is then read by; empty: LibRaw reads it."""
     is_for_all: bool = True
-    """Whether programs at large read it, as far as photos are handed on to them."""
+    """Whether most programs that photos are handed on to read it."""
     orientation_is_exif: bool = True
     """Whether EXIF alone turns the photo, so that programs differ in heeding it; in the
     others turning is a part of the format, which all decoders do."""
@@ -93,7 +93,8 @@ def is_photo(path: Path) -> bool:
 def format_of(path: Path) -> PhotoFormat | None:
     """The format of an existing file by its first bytes; None if it is none of ours.
 
-    RAW files that are TIFFs by their beginning (DNG, NEF, ARW) are told by suffix.
+    RAW files that are TIFFs by their beginning (DNG, NEF, ARW) are told apart by their
+    suffix.
     """
     head = head_of(path)
     if head.startswith(b"\xff\xd8\xff"):
@@ -128,6 +129,6 @@ def head_of(path: Path) -> bytes:
 
 
 def unread_kind(path: Path) -> str:
-    """What a file is that is none of our formats, if known: "a GIF"; or nothing."""
+    """What a file in none of our formats is, if known: "a GIF"; or nothing."""
     head = head_of(path)
     return next((w for start, w in OTHERS.items() if head.startswith(start)), "")
