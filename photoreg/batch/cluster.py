@@ -49,9 +49,13 @@ def connected(scheduler: str | None, n_workers: int, threads: int) -> Iterator[A
             "photoreg batch runs on Dask, which is not installed. Install it: "
             "pip install 'photoreg[cluster]'"
         ) from error
-    # What becomes of workers is told in the progress and the logs of objects.
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
     with warnings.catch_warnings(), contextlib.ExitStack() as end:
+        # What becomes of workers is told in the progress and the logs of objects; asyncio
+        # would print a traceback of each that died while it was being started.
+        for name in ("distributed", "asyncio"):
+            logger = logging.getLogger(name)
+            end.callback(logger.setLevel, logger.level)
+            logger.setLevel(logging.CRITICAL)
         # Contents that are sent along are meant to be.
         warnings.filterwarnings("ignore", message="Sending large graph")
         if scheduler is not None:
