@@ -171,6 +171,7 @@
     draw2d.imageSmoothingEnabled = scale * ratio < 4;
     const base = `/photoreg/photo/${state.photo}`;
     const whole = image(`${base}/overview.jpg`);
+    draw2d.filter = brightening();
     if (whole) draw2d.drawImage(whole, left, top, scale * state.width, scale * state.height);
     if (whole && whole.naturalWidth < state.width && scale * ratio * state.width > 1.1 * whole.naturalWidth) {
       const [u0, v0] = toPhoto(0, 0);
@@ -184,6 +185,7 @@
               tile.naturalWidth * scale, tile.naturalHeight * scale);
         }
     }
+    draw2d.filter = "none";
     paintMask();
     paintBox();
     paintMarks();
@@ -196,6 +198,8 @@
       draw2d.stroke();
     }
   }
+
+  const brightening = () => (state.gain > 1 ? `brightness(${state.gain})` : "none");
 
   function paintMask() {
     if (state.mask !== maskShown && !stroke) {
@@ -247,8 +251,10 @@
         const pen = crop.getContext("2d");
         pen.scale(ratio, ratio);
         const { naturalWidth, naturalHeight } = wholes[i];
+        pen.filter = brightening();
         pen.drawImage(wholes[i], half - ((u + 0.5) * naturalWidth) / width,
           half - ((v + 0.5) * naturalHeight) / height);
+        pen.filter = "none";
         pen.font = "bold 12px sans-serif";
         for (const [colour, thick] of [["#000", 3], ["#ffd24d", 1.5]]) {
           pen.strokeStyle = pen.fillStyle = colour;

@@ -330,6 +330,8 @@ class State:
     document: Document = dataclasses.field(default_factory=Document)
     selected: int = 0
     mesh_opacity: float = 0.55
+    photo_gain: float = 1.0
+    """Factor on the values of photos that are looked at or through; on screen alone."""
     overlay_style: OverlayStyle = "blend"
     overlay_share: float = 0.5
     """Share of the carried photo in a blend; where the line of a swipe is."""

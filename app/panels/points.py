@@ -18,6 +18,7 @@ from app.model.session import select, setting, with_entry
 from app.model.state import State
 from app.panels.data import index_of, photo_options
 from app.panels.pair_table import pair_rows, table_html
+from app.panels.photo_gain import add_photo_gain
 from app.scene.markers import Pull
 from app.web.bridge import Bridge, Number, Values, Whole
 from app.web.controls import guarded, guarded_slow, in_background, put, put_value
@@ -55,6 +56,7 @@ class PointsPanel:
         gui.add_html(
             f'<div style="margin:2px 10px 4px">{mounted("picker")}<div></div></div>'
         )
+        self._gain = add_photo_gain(gui, session)
         self._state = gui.add_html("")
         self._live = gui.add_checkbox(
             "Solve live",
@@ -304,6 +306,7 @@ class PointsPanel:
         options = photo_options(state)
         put(self._choice, "options", options)
         put_value(self._live, state.live_solve)
+        put_value(self._gain, state.photo_gain)
         entry, idle = state.selected_photo, state.run.status == "idle"
         if entry is not None:
             put_value(self._choice, options[state.selected])
@@ -323,6 +326,7 @@ class PointsPanel:
                 "mask": self._pictures.mask_key(entry.mask_png),
                 "box": entry.box,
                 "busy": not idle,
+                "gain": state.photo_gain,
                 "chosen": state.chosen_pair,
                 "hint": point_pairs.next_click(state),
                 "crops": [

@@ -10,6 +10,7 @@ import viser
 from app.control.controller import Controller
 from app.model.session import setting
 from app.model.state import State
+from app.panels.photo_gain import add_photo_gain
 from app.scene.viewport import Mode, Viewport
 from app.web.bridge import Bridge
 from app.web.controls import guarded, put, put_value
@@ -115,6 +116,8 @@ class ViewPanel:
             visible=False,
         )
 
+        self._gain = add_photo_gain(gui, session, next(orders))
+
         @self._zoom.on_update
         @guarded
         def _(_: viser.GuiEvent) -> None:
@@ -175,6 +178,9 @@ class ViewPanel:
             photos and state.overlay_style in ("blend", "swipe"),
         )
         put_value(self._share, state.overlay_share)
+        # The others show pictures that the engine has drawn, with their own light.
+        put(self._gain, "visible", through and style not in ("photo", "normals"))
+        put_value(self._gain, state.photo_gain)
 
 
 def _mode(value: str) -> Mode:

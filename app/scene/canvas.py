@@ -89,6 +89,11 @@ def without_skew(pixels: np.ndarray, camera: Camera) -> np.ndarray:
     )
 
 
+def brightened(pixels: np.ndarray, gain: float) -> np.ndarray:
+    """Pixels ``gain`` times as bright; white stays white."""
+    return pixels if gain == 1.0 else cv2.convertScaleAbs(pixels, alpha=gain)
+
+
 def far_depth(frame: DisplayFrame, camera: Camera, bounds: np.ndarray) -> float:
     """A depth, in page units, beyond everything within ``bounds`` (2, 3)."""
     corners = np.stack(np.meshgrid(*bounds.T), axis=-1).reshape(-1, 3)

@@ -20,6 +20,7 @@ from app.model.state import PhotoEntry, State
 from app.scene.canvas import (
     SURROUND,
     backdrop,
+    brightened,
     far_depth,
     fitting_focal,
     photo_plane,
@@ -86,7 +87,7 @@ class PhotoView:
         height = round(view.image_height * scale)
         focal = fitting_focal(entry.camera, width, height)
         view.fov = view_angle(focal, height)
-        picture = _shown(state, entry)
+        picture, gain = _shown(state, entry), state.photo_gain
 
         def warped() -> np.ndarray:
             photo = (
@@ -98,11 +99,15 @@ class PhotoView:
             if picture is None:  # The worker's is undistorted already.
                 photo = undistorted_photo(photo, camera)
             around = SURROUND[state.dark]
-            return warped_photo(photo.pixels, camera, focal, width, height, around)
+            pixels = photo.pixels
+            if picture is None:
+                pixels = brightened(pixels, gain)
+            return warped_photo(pixels, camera, focal, width, height, around)
 
         shown = entry.photo if picture is None else picture
         optics = entry.camera.K.tobytes(), entry.camera.lens
-        self._set_background(("move", shown, width, height, optics, state.dark), warped)
+        look = state.dark, gain
+        self._set_background(("move", shown, width, height, optics, look), warped)
 
     def _reduced(self, photo: Photo) -> Photo:
         """The photo as small as a background may be, kept: the lens changes often."""
@@ -117,7 +122,9 @@ class PhotoView:
         self._set_background(("inspect", state.dark), lambda: around)
         rotation, position = frame.pose(camera)
         picture = _shown(state, entry)
-        shown = (entry.photo, camera.lens) if picture is None else picture
+        gain = state.photo_gain
+        own = entry.photo, camera.lens, gain
+        shown = own if picture is None else picture
         plane = self._plane
         bounds = np.array([[-1.0] * 3, [1.0] * 3]) if mesh is None else mesh.bounds
         width, height, centre = photo_plane(camera, far_depth(frame, camera, bounds))
@@ -125,7 +132,7 @@ class PhotoView:
             root = self.client.scene.add_frame("/through", show_axes=False)
             image = self.client.scene.add_image(
                 "/through/photo",
-                _plane_pixels(entry),
+                _plane_pixels(entry, gain),
                 width,
                 height,
                 format="jpeg",
@@ -133,10 +140,10 @@ class PhotoView:
                 cast_shadow=False,
                 receive_shadow=False,
             )
-            plane = Plane(root, image, (entry.photo, camera.lens))
+            plane = Plane(root, image, own)
         if plane.photo != shown:
             if picture is None:
-                plane.image.image = _plane_pixels(entry)
+                plane.image.image = _plane_pixels(entry, gain)
             else:
                 put_jpeg(plane.image, picture)
         with self.client.atomic():
@@ -195,10 +202,11 @@ def _shown(state: State, entry: PhotoEntry) -> bytes | None:
     return drawn.normals_jpeg if state.through_style == "normals" else None
 
 
-def _plane_pixels(entry: PhotoEntry) -> np.ndarray:
+def _plane_pixels(entry: PhotoEntry, gain: float) -> np.ndarray:
     photo = entry.photo.resized(MAX_PLANE_PX)
     camera = entry.camera.resized(photo.width, photo.height)
-    return without_skew(undistorted_photo(photo, camera).pixels, camera)
+    pixels = without_skew(undistorted_photo(photo, camera).pixels, camera)
+    return brightened(pixels, gain)
 
 
 def _decoded(jpeg: bytes) -> np.ndarray:

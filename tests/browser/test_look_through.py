@@ -184,3 +184,42 @@ def test_through_a_photo_the_mesh_covers_its_picture_to_the_pixel(
     assert (canvas["width"] > canvas["height"]) == (shape != "tall")
     assert mean <= MAX_MEAN_PX, f"mean {mean:.3f} px, largest {largest:.3f} px"
     assert largest <= MAX_PX, f"mean {mean:.3f} px, largest {largest:.3f} px"
+
+
+_PICKED = """() => {
+  const canvas = document.querySelector('.pr-view canvas');
+  const pen = canvas.getContext('2d');
+  return pen.getImageData(canvas.width / 2, canvas.height / 2, 1, 1).data[0];
+}"""
+
+
+@pytest.mark.parametrize("mode", ["Move the camera", "Look through"])
+def test_a_dark_photo_is_brightened_in_the_view_and_beside_it_and_stays_as_it_is(
+    app, scene, mode
+):
+    driver, (_, camera, white) = app.driver, scene
+    dark = dataclasses.replace(white, pixels=np.full_like(white.pixels, 25))
+    entry = PhotoEntry(dark, camera)
+    app.session.change("Darken", lambda state: with_photo(state, entry))
+    app.session.change(None, setting(mesh_opacity=0.0, photo_gain=1.0))
+    look_through(app, driver, camera, mode)
+
+    def middle() -> float:
+        picture = grab(driver)
+        rows, columns = (n // 2 for n in picture.shape)
+        return float(picture[rows - 5 : rows + 5, columns - 5 : columns + 5].mean())
+
+    wait_until(lambda: middle() < 45.0, "the photo is dark", 30)
+    slider = driver.page.get_by_role("slider", name="Brighten").locator("visible=true")
+    slider.focus()
+    slider.press("End")
+    wait_until(lambda: app.state.photo_gain == 8.0, "it is to be brightened", 30)
+    wait_until(lambda: middle() > 160.0, "the photo is brighter", 30)
+    driver.tab("Points")
+    driver.page.wait_for_function("() => photoreg.picker.ready()")
+    wait_until(lambda: abs(driver.page.evaluate(_PICKED) - 200) <= 3, "so is this", 30)
+    driver.tab("Overlay")
+    assert app.state.document.photos[0].photo is dark
+    app.session.change(None, setting(photo_gain=1.0))
+    app.session.undo()
+    driver.choose("View", "3-D scene")
