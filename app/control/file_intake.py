@@ -40,6 +40,7 @@ from photoreg.errors import InputError, PhotoregError
 from photoreg.formats.foreign import what_to_do
 from photoreg.project.files import keep_file, plain_name
 from photoreg.sources import read_regular
+from photoreg.words import listed
 
 MAX_FILES = 200
 
@@ -85,11 +86,12 @@ class Batch:
                         state = reducers.with_loaded_cameras(state, event)
             except PhotoregError as error:
                 self.problems.append(str(error))
-        if len(state.document.photos) > n_before:
+        n_new = len(state.document.photos) - n_before
+        if n_new > 0:
             # Where the work begins: the first of the new photos.
             state = dataclasses.replace(state, selected=n_before)
         if len(self.loaded) > 1:
-            notes = [f"{len(self.loaded)} files are open."]
+            notes = [self._in_words(n_new, state.document.mesh is not None)]
             for event in self.loaded:
                 match event:
                     case MeshLoaded():
@@ -99,6 +101,20 @@ class Batch:
             note = " ".join(notes)
             state = dataclasses.replace(state, note=note)
         return state
+
+    def _in_words(self, n_new_photos: int, has_mesh: bool) -> str:
+        """What has been opened, and the step that comes next."""
+        opened = [e.mesh.name for e in self.loaded if isinstance(e, MeshLoaded)]
+        if n_new_photos > 0:
+            opened.append("1 photo" if n_new_photos == 1 else f"{n_new_photos} photos")
+        cameras = [e.name for e in self.loaded if isinstance(e, CamerasLoaded)]
+        opened += [f"the cameras of {name}" for name in cameras]
+        said = [f"Opened {listed(opened)}."] if opened else []
+        if not has_mesh:
+            said.append("Next: drop the scan.")
+        elif n_new_photos > 0 and not cameras:
+            said.append("Next: find the cameras, in tab 2.")
+        return " ".join(said)
 
 
 class FileIntake:

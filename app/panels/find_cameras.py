@@ -10,7 +10,8 @@ from app.model.markup import escaped, opening
 from app.model.state import FoundCamera, State
 from app.web.bridge import Bridge
 from app.web.controls import guarded, put
-from app.web.widgets import SMALL_BUTTON, Tool, Tools, help_line
+from app.web.widgets import SMALL_BUTTON, Choice, Option, help_line
+from photoreg.geometry.camera import same_camera
 
 HELP = (
     "By the object's outline before a plain background, in a mask or a box; elsewhere by "
@@ -40,8 +41,8 @@ class FindCamerasPanel:
         )
         gui.add_html(BOX_HTML)
         self._told = gui.add_html("")
-        self._poses = Tools(
-            gui, bridge, "Poses", (), lambda _, value: self._pick(value)
+        self._poses = Choice(
+            gui, bridge, "Pose", {}, lambda _, value: self._pick(value)
         )
         self._shown: FoundCamera | None = None
 
@@ -79,13 +80,16 @@ class FindCamerasPanel:
         shown = self._shown
         put(self._told, "content", "" if shown is None else _told_html(shown))
         poses = () if shown is None else shown.candidates
-        self._poses.show(
-            [
-                Tool(str(k), f"Put the camera into pose {k + 1}", label=f"Pose {k + 1}")
-                for k in range(len(poses))
-            ],
-            visible=bool(poses),
+        options = {
+            str(k): Option(f"Pose {k + 1}", title=f"Put the camera into pose {k + 1}")
+            for k in range(len(poses))
+        }
+        taken = (
+            k
+            for k, pose in enumerate(poses)
+            if entry is not None and same_camera(entry.camera, pose)
         )
+        self._poses.show(str(next(taken, "")), visible=bool(poses), options=options)
 
 
 @functools.lru_cache(maxsize=8)

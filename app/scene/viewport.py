@@ -19,7 +19,7 @@ from app.control.camera_claims import CameraClaims
 from app.control.controller import Controller
 from app.model.camera_moves import DisplayFrame
 from app.model.session import with_entry
-from app.model.state import PhotoEntry, State
+from app.model.state import FoundCamera, PhotoEntry, State
 from app.scene.gizmos import GIZMO_PX
 from app.scene.home_view import home_view
 from app.scene.nodes import SceneNodes
@@ -98,6 +98,7 @@ class Viewport:
         self._gesture = 0
         self._told_at = -np.inf
         self._framed: object = None
+        self._found: tuple[FoundCamera, ...] = ()
         client.camera.min_orbit_distance = PIVOT
         self._hide()
         client.camera.on_update(guarded(self._on_camera))
@@ -234,14 +235,20 @@ class Viewport:
             _place(self.client, position, look_at, np.array(state.document.up))
             camera.fov = FREE_FOV
 
+    @property
+    def _is_at_home(self) -> bool:
+        """Whether nobody has turned the view, and it has arrived."""
+        if self._at_home is None:
+            return False
+        place = np.array(self.client.camera.position)
+        return bool(np.abs(place - self._at_home[0]).max() <= HOME_TOLERANCE)
+
     def _keep_home(self, state: State) -> None:
         """Fits the first view again when the canvas, or what is shown, has changed."""
-        if self._at_home is None:
+        if self._at_home is None or not self._is_at_home:
             return
-        position, aspect, was_alone = self._at_home
+        _, aspect, was_alone = self._at_home
         camera = self.client.camera
-        if np.abs(np.array(camera.position) - position).max() > HOME_TOLERANCE:
-            return  # The user has moved on, or the view is not there yet.
         change = camera.image_width / max(camera.image_height, 1) / aspect - 1.0
         if abs(change) > 0.02 or was_alone == self._shows_cameras:
             self.go_home(state)
@@ -260,6 +267,13 @@ class Viewport:
                 self._home = None
                 if self.mode == "free":
                     self.go_home(state)
+            elif self._found != state.found:
+                # They stand elsewhere; a view that somebody has turned stays as it is.
+                if self.mode != "free":
+                    self._home = None
+                elif self._is_at_home:
+                    self.go_home(state)
+            self._found = state.found
             if self.mode == "free":
                 self._keep_home(state)
                 self._photo.show_none(state.dark)

@@ -24,7 +24,7 @@ BUTTON = (
     "8px;font:inherit;font-size:12.5px;line-height:1.35;cursor:pointer;color:inherit;"
     "background:transparent;white-space:nowrap;overflow:hidden;text-overflow:ellipsis"
 )
-COLUMNS = ";display:grid;grid-template-columns:repeat(3,auto)"
+COLUMNS = ";display:grid;grid-template-columns:repeat({n},auto)"
 SMALL_BUTTON = (
     "font:inherit;font-size:12.5px;color:inherit;background:rgba(128,140,155,.25);border:0;"
     "border-radius:5px;padding:3px 10px;cursor:pointer"
@@ -95,7 +95,10 @@ class Choice:
         letters = sum(len(option.label) for option in self._options.values())
         # Many short words fit into one row with less around each.
         is_tight = len(self._options) > 4 and letters < 24
-        columns = COLUMNS if len(self._options) > 4 and not is_tight else ""
+        is_grid = len(self._options) > 4 and not is_tight
+        # Long ones, such as names of photos, are told apart at their ends.
+        n = 3 if letters < 10 * len(self._options) else 2
+        columns = COLUMNS.format(n=n) if is_grid else ""
         buttons = "".join(
             _button(
                 _sending(self._act, key),
@@ -103,7 +106,7 @@ class Choice:
                 f'role="radio" aria-checked="{str(key == value).lower()}" '
                 f'title="{escaped(option.title or _plain(option.help))}"',
                 (SELECTED if key == value else "")
-                + (";padding:4px 3px" if is_tight else ""),
+                + (";padding:4px 3px" if is_tight or columns else ""),
                 option.enabled,
             )
             for key, option in self._options.items()

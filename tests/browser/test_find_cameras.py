@@ -98,7 +98,9 @@ def test_a_round_object_offers_poses_to_pick_from_and_moved_cameras_stay(open_ap
     wait_until(is_found, "the camera is found", 300.0)
     (one,) = app.state.found
     expect(window.get_by_role("img", name="Pose 2")).to_be_visible()
-    app.driver.click("Put the camera into pose 2")
+    poses = window.get_by_role("radiogroup", name="Pose", exact=True)
+    expect(poses.get_by_role("radio", checked=True)).to_have_text("Pose 1")
+    app.driver.choose("Pose", "Pose 2")
     wait_until(
         lambda: same_camera(app.state.selected_photo.camera, one.candidates[1]),
         "the second pose is taken",

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.control.file_intake import FileIntake
+from app.control.file_intake import Batch, FileIntake
 from app.engine import read_job
 from app.engine.scene_opening import demo_folder
+from app.model.messages import MeshLoaded, PhotoLoaded
 from app.model.session import Session
-from app.model.state import Document
+from app.model.state import Document, State
 from app.page.main import open_document
 from photoreg.errors import InputError
 from photoreg.formats.cameras.cameras_json import load_cameras
@@ -38,6 +39,24 @@ def announced(intake: FileIntake) -> None:
 
 def opened(intake: FileIntake) -> None:
     intake.open_one("left.png", b"x")
+
+
+def test_what_was_opened_is_told_and_the_step_that_comes_next():
+    document = open_document([demo_folder() / name for name in DEMO], None)
+    mesh, display = document.mesh, document.display_mesh
+    assert mesh is not None
+    assert display is not None
+    scan = MeshLoaded(mesh, display)
+    photos = [PhotoLoaded(entry.photo) for entry in document.photos]
+    for loaded, note in (
+        (
+            [scan, *photos],
+            "Opened shell.ply and 2 photos. Next: find the cameras, in tab 2.",
+        ),
+        (photos, "Opened 2 photos. Next: drop the scan."),
+    ):
+        batch = Batch("Open", DEMO[0], begins_anew=True, loaded=list(loaded))
+        assert batch.put_into(State()).note == note
 
 
 @pytest.mark.parametrize("act", [announced, opened])
