@@ -96,6 +96,40 @@
     photoreg.tab(name)?.dispatchEvent(press);
   };
 
+  // The button for viser's own page shows the page's settings; that page, of the connection
+  // and the scene's nodes, which helps to find faults, is opened from there.
+  const SETTINGS = "Demo and page";
+  const COG = "button:has(.tabler-icon-adjustments)";
+  let isAsked = false;
+  const showSettings = (tries = 40) => {
+    photoreg.open("1 Data");
+    const fold = [...document.querySelectorAll(".mantine-Paper-root[aria-expanded]")].find(
+      (one) => one.textContent.startsWith(SETTINGS) && one.offsetParent,
+    );
+    if (!fold) return tries > 0 && setTimeout(showSettings, 50, tries - 1);
+    if (fold.ariaExpanded === "false") fold.click();
+    fold.focus();
+    const box = fold.parentElement;
+    new ResizeObserver((_, sizes) => {
+      box.scrollIntoView({ block: "end" });
+      setTimeout(() => sizes.disconnect(), 500);
+    }).observe(box);
+  };
+  document.addEventListener(
+    "click",
+    (event) => {
+      if (event.target.closest?.("[data-diagnose]")) {
+        isAsked = true;
+        document.querySelector(COG)?.click();
+        isAsked = false;
+      } else if (!isAsked && event.target.closest?.(COG)) {
+        event.stopPropagation();
+        showSettings();
+      }
+    },
+    true,
+  );
+
   // Tells the server while a tab is on screen, however far it is scrolled.
   const open = new Map();
   const sight = new IntersectionObserver((entries) => {
@@ -114,7 +148,8 @@
   // Names for screen readers, and the keyboard for folds, which viser leaves out.
   const ICONS = {
     "tabler-icon-list-search": "All commands (Ctrl+K)",
-    "tabler-icon-adjustments": "The viewer's connection and scene",
+    "tabler-icon-adjustments": "Settings of the page",
+    "tabler-icon-arrow-back": "Back to the panels",
   };
   const name = (element, text) => {
     if (!element.getAttribute("aria-label")) element.setAttribute("aria-label", text);
@@ -127,8 +162,10 @@
     }
     for (const [icon, text] of Object.entries(ICONS)) {
       const button = document.querySelector(`button:has(.${icon})`);
-      if (button) name(button, text);
-      if (button && !button.title) button.title = text;
+      if (!button) continue;
+      // One button has either icon, by turns.
+      button.setAttribute("aria-label", text);
+      button.title = text;
     }
     for (const picture of document.querySelectorAll("img:not([alt])"))
       picture.alt = "The photos laid over each other";

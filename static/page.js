@@ -103,6 +103,7 @@
   // in a row on their digits: the keyboard's arrows do the same. Three have a row of their
   // own, below their label: coordinates of surveys are long.
   // Where the system asks for less motion, only what a person lets blink moves by itself.
+  // viser's folds wait for the end of their motion before they are closed: it is made brief.
   const first = ".mantine-NumberInput-root:first-child:nth-last-child(3)";
   const triple = `:is(${first}, ${first} ~ .mantine-NumberInput-root)`;
   const style = document.createElement("style");
@@ -122,7 +123,9 @@
   :root[data-mantine-color-scheme=light] .mantine-Button-root{
     --mantine-primary-color-filled:#26a69a;--mantine-primary-color-filled-hover:#1d9e90}
   @media (prefers-reduced-motion:reduce){
-    :not(.before),::before,::after{animation:none!important;transition:none!important}}`;
+    :not(.before,[style*=transition]),::before,::after{
+      animation:none!important;transition:none!important}
+    [style*=transition]{transition-duration:.01ms!important;transition-delay:0s!important}}`;
   document.head.append(style);
 
   // viser's buttons do not show their hints: each has it as its title once it appears.

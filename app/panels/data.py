@@ -16,7 +16,7 @@ from app.scene.own_colours import has_own_colours
 from app.web.bridge import Bridge, Values, Whole
 from app.web.controls import guarded, guarded_slow, put, put_value
 from app.web.uploads import too_large
-from app.web.widgets import Choice, Option, help_line
+from app.web.widgets import SMALL_BUTTON, Choice, Option, help_line
 from photoreg.formats.cameras.registry import CAMERA_SUFFIXES
 from photoreg.formats.photos.registry import formats_in_words
 from photoreg.geometry.mesh import Mesh
@@ -38,6 +38,11 @@ UNITS: dict[Unit, Option] = {
     ),
     "m": Option("m", "The scan is in metres. Lengths say so; nothing is scaled."),
 }
+
+DIAGNOSTICS_HTML = help_line(
+    f'Something wrong with the view? <button style="{SMALL_BUTTON}" data-diagnose title="'
+    'Connection, speed of drawing and nodes of the scene">Diagnostics</button>'
+)
 
 
 def _unit(value: str) -> Unit:
@@ -93,6 +98,7 @@ class DataPanel:
             self._dark = gui.add_checkbox(
                 "Dark page", True, hint="Dark or light colours, in every window."
             )
+            gui.add_html(DIAGNOSTICS_HTML)
 
         bridge.on("select", lambda values, _: self._select(values["photo"]), photo=str)
         bridge.on("rename", self._on_rename, photo=str, name=str)

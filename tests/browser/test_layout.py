@@ -5,9 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, expect
+from scipy.spatial.transform import Rotation
 
+from app.model.camera_moves import orbited
+from app.model.messages import CamerasFound
+from app.model.reducers import found
 from app.model.session import with_document
-from app.model.state import Document
+from app.model.state import Document, FoundCamera
 from photoreg import __version__
 from photoreg.synthetic.rock import rock_mesh
 from tests.browser.app import App
@@ -74,6 +78,63 @@ def test_all_is_framed_by_key_by_button_and_when_undo_brings_another_mesh(app):
     driver.rest()
     driver.click("Undo: Other")
     wait_until(is_home, "the mesh of before is framed", 20)
+
+
+def test_cameras_that_were_found_are_framed_where_nobody_has_turned_the_view(app):
+    driver, document = app.driver, app.state.document
+    mesh = document.mesh
+    assert mesh is not None
+    driver.rest()
+    driver.page.keyboard.press("h")
+    driver.rest()
+    before = driver.viewport_camera()[0]
+
+    def find(angle_deg: float) -> None:
+        entry, turn = document.photos[0], Rotation.from_euler("y", angle_deg, True)
+        turned = orbited(entry.camera, mesh.centroid, turn.as_matrix())
+        one = FoundCamera(entry.name, "found", "", (turned,), ())
+        event = CamerasFound((one,))
+        app.session.change("Find the cameras", lambda state: found(state, event))
+
+    find(150.0)
+
+    def is_framed_anew() -> bool:
+        driver.frames(2)
+        return bool(np.abs(driver.viewport_camera()[0] - before).max() > 0.2)
+
+    wait_until(is_framed_anew, "the view goes to where the cameras are", 20)
+    driver.rest()
+    canvas = driver.canvas()
+    driver.drag((canvas["x"] + 60, canvas["y"] + canvas["height"] - 60), (90.0, -40.0))
+    driver.rest()
+    turned = driver.viewport_camera()[0]
+    find(-60.0)
+    driver.frames(10)
+    driver.rest()
+    assert np.abs(driver.viewport_camera()[0] - turned).max() < 0.02
+    app.session.undo()
+    app.session.undo()
+    driver.page.keyboard.press("h")
+    driver.rest()
+
+
+def test_the_button_of_settings_shows_the_page_s_own_and_viser_s_lie_behind_them(app):
+    driver, page = app.driver, app.driver.page
+    driver.tab("2 Align")
+    own = page.get_by_text("Dark page", exact=True)
+    expect(own).to_be_hidden()
+    driver.click("Settings of the page")
+    expect(own).to_be_visible()
+    expect(own).to_be_in_viewport()
+    viser_s = page.get_by_text("Dev Settings")
+    expect(viser_s).to_be_hidden()
+    driver.click("Diagnostics")
+    expect(viser_s).to_be_visible()
+    driver.click("Back to the panels")
+    expect(viser_s).to_be_hidden()
+    expect(page.get_by_role("status")).to_be_in_viewport()
+    page.get_by_role("button", name="Demo and page", exact=True).click()
+    expect(own).to_be_hidden()
 
 
 def test_cameras_are_hidden_by_a_key_and_by_themselves_where_the_model_is_exported(app):
