@@ -84,11 +84,18 @@
   );
   // The keys that walk would leave the camera; arrows turn by a tenth of what is seen.
   const walk = /^(Key[WASDQE]|Arrow(Left|Right|Up|Down))$/;
+  // On a slider the arrows move it, and nothing else: viser hears them at the document.
+  const isOnSlider = (event) =>
+    event.code.startsWith("Arrow") && event.target.closest?.("[role=slider]");
+  document.body.addEventListener("keydown", (event) => {
+    if (isOnSlider(event)) event.stopPropagation();
+  });
   window.addEventListener(
     "keydown",
     (event) => {
       if (fit === null || !walk.test(event.code)) return;
       if (/^(INPUT|TEXTAREA|SELECT)$/.test(event.target.tagName)) return;
+      if (isOnSlider(event)) return;
       event.stopPropagation();
       const step = (viewer().camera.fov * Math.PI) / 1800;
       const turn = {

@@ -212,6 +212,11 @@ def test_a_dark_photo_is_brightened_in_the_view_and_beside_it_and_stays_as_it_is
     wait_until(lambda: middle() < 45.0, "the photo is dark", 30)
     slider = driver.page.get_by_role("slider", name="Brighten").locator("visible=true")
     slider.focus()
+    before = driver.viewport_camera()[1]
+    slider.press("ArrowRight")
+    wait_until(lambda: app.state.photo_gain == 1.1, "the key moves the slider", 30)
+    driver.frames(5)
+    assert np.abs(driver.viewport_camera()[1] - before).max() < 1e-6
     slider.press("End")
     wait_until(lambda: app.state.photo_gain == 8.0, "it is to be brightened", 30)
     wait_until(lambda: middle() > 160.0, "the photo is brighter", 30)
