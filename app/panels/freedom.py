@@ -4,7 +4,7 @@ import dataclasses
 
 import viser
 
-from app.model.markup import in_markdown
+from app.model.markup import escaped
 from app.model.session import Session, setting
 from app.model.state import HeldPart, State
 from app.web.controls import guarded, put, put_value
@@ -37,6 +37,8 @@ DISTORTIONS: dict[str, Distortion] = {
 """What the choice says, and what it means."""
 _LABELS = {distortion: label for label, distortion in DISTORTIONS.items()}
 
+_PHOTO = "margin:6px 12px 2px;font-size:14px;font-weight:700;overflow-wrap:anywhere"
+
 BOX_PERCENT = (25, 300, 5)
 """Least, most and step of the box's size, against the preset's."""
 
@@ -63,7 +65,7 @@ class FreedomPanel:
     def __init__(self, gui: viser.GuiApi, session: Session) -> None:
         self._gui, self._session = gui, session
         self._names: tuple[str, ...] = ()
-        self._nodes: list[viser.GuiMarkdownHandle] = []
+        self._nodes: list[viser.GuiHtmlHandle] = []
         self._ticks: dict[tuple[str, HeldPart], viser.GuiCheckboxHandle] = {}
         self._held: set[tuple[str, HeldPart]] = set()
         self._is_one_focal = False
@@ -154,8 +156,9 @@ class FreedomPanel:
         self._nodes, self._ticks, self._held = [], {}, set()
         with self._fold:
             for number, name in enumerate(self._names, 1):
-                title = f"**{number}. {in_markdown(name)}**"
-                self._nodes.append(self._gui.add_markdown(title))
+                # Markdown would come in a second message, maybe after it is removed again.
+                title = f'<div style="{_PHOTO}">{number}. {escaped(name)}</div>'
+                self._nodes.append(self._gui.add_html(title))
                 for part, (label, help) in PARTS.items():
                     tick = self._gui.add_checkbox(label, False, hint=help)
                     self._ticks[name, part] = tick
