@@ -18,6 +18,7 @@ from app.web.controls import guarded, guarded_slow, put, put_value
 from app.web.uploads import too_large
 from app.web.widgets import SMALL_BUTTON, Choice, Option, help_line
 from photoreg.formats.cameras.registry import CAMERA_SUFFIXES
+from photoreg.formats.meshes.read import MESH_SUFFIXES
 from photoreg.formats.photos.registry import formats_in_words
 from photoreg.geometry.mesh import Mesh
 from photoreg.limits import Limits
@@ -349,8 +350,9 @@ def _opening_html(state: State, busy: bool, limits: Limits) -> str:
             busy,
         )
         + f'<div style="{_FINE_PRINT};margin-bottom:9px">'
-        "Or drop them anywhere on this page, several at once. Mesh: OBJ, PLY, STL, GLB, "
-        f"OFF. Photos: {formats_in_words()}. Up to {limits.file_mb:,.0f} MB each. A new "
+        "Or drop them anywhere on this page, several at once. Mesh: "
+        f"{', '.join(suffix[1:].upper() for suffix in MESH_SUFFIXES)}. "
+        f"Photos: {formats_in_words()}. Up to {limits.file_mb:,.0f} MB each. A new "
         "photo gets a first camera in front of the object; place it in the next tab.</div>"
         + _big_button(
             "Load cameras …",

@@ -2,24 +2,22 @@
 
 import csv
 import dataclasses
-import html
 import importlib.metadata
 import io
 import shlex
-import string
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
-from urllib.parse import quote
 
 from photoreg.batch.mended import MENDED
 from photoreg.batch.record import ObjectRecord
 from photoreg.batch.run import AFTER, BEFORE, CAMERAS, LOG, MODEL, REPORT
 from photoreg.formats.mark import COMMENT
+from photoreg.formats.models.registry import TEXTURED_FORMATS
 from photoreg.formats.writing import check_outputs, write_files
 from photoreg.project.result import ProjectResult
 from photoreg.registration.verdict import Grade
-from photoreg.report.static_files import static_text
+from photoreg.report.templates import rendered
 from photoreg.words import in_words, percent
 
 SUMMARY, PAGE = "summary.csv", "index.html"
@@ -79,8 +77,41 @@ class SummaryRow:
     @property
     def rank(self) -> tuple[int, float, str]:
         """Where it stands, the worst first."""
-        order = ORDER.index(self.verdict or self.status)
+        order = ORDER.index(self.key)
         return order, -(self.expected_error_px or 0.0), self.name
+
+    @property
+    def key(self) -> Status | Grade:
+        """Its verdict, or its state without one: one of `ORDER`."""
+        return self.verdict or self.status
+
+    @property
+    def facts(self) -> list[str]:
+        """Figures in words, as far as they are known."""
+        facts = []
+        if self.photos is not None:
+            facts.append(f"{self.photos} photo{'s' * (self.photos != 1)}")
+        if self.seen_share is not None:
+            facts.append(f"{percent(self.seen_share)} of the surface seen")
+        if self.total_s is not None:
+            facts.append(in_words(self.total_s))
+        return facts
+
+    @property
+    def remarks(self) -> list[str]:
+        """Warnings that its sentence does not say already, and notes."""
+        warnings = [text for text in self.warnings if text != self.sentence]
+        return [*warnings, *self.notes]
+
+    @property
+    def links(self) -> dict[str, str]:
+        """Word to path, which is empty where there is no such file."""
+        return {
+            "report": self.report,
+            "model": self.model,
+            "cameras": self.cameras,
+            "log": f"{self.name}/{LOG}" if self.has_log else "",
+        }
 
 
 def row_of(
@@ -135,7 +166,7 @@ def row_of(
 
 
 def _is_picture(name: str) -> bool:
-    return Path(name).suffix not in (".glb", ".obj", ".ply")
+    return Path(name).suffix not in TEXTURED_FORMATS
 
 
 COLUMNS = (
@@ -208,94 +239,17 @@ def csv_of(rows: Sequence[SummaryRow]) -> str:
 
 def page_of(out: Path, rows: Sequence[SummaryRow]) -> str:
     """The triage page, which opens from the disk and loads nothing from elsewhere."""
-    ranked = sorted(rows, key=lambda row: row.rank)
-    counts = dict.fromkeys(ORDER, 0)
+    counts: dict[str, int] = dict.fromkeys(ORDER, 0)
     for row in rows:
-        counts[row.verdict or row.status] += 1
-    return string.Template(static_text("triage.html")).substitute(
-        mark=f"<!-- {COMMENT} -->",
-        title=html.escape(out.name),
-        place=html.escape(str(out)),
-        total=f"{len(rows):,}",
-        filters="".join(_filter(key, n) for key, n in counts.items() if n),
-        rows="\n".join(_row_html(out, row, n) for n, row in enumerate(ranked)),
-        script=static_text("triage.js"),
-    )
-
-
-def _filter(key: str, count: int) -> str:
-    return (
-        f'<button type="button" class="chip {_css(key)}" data-filter="{key}" '
-        f'aria-pressed="false"><i></i>{_words(key)} <b>{count:,}</b></button>'
-    )
-
-
-def _css(key: str) -> str:
-    return key.replace(" ", "-")
-
-
-def _words(key: str) -> str:
-    return STATUS_WORDS.get(key, key)
-
-
-def _row_html(out: Path, row: SummaryRow, rank: int) -> str:
-    key = row.verdict or row.status
-    error = row.expected_error_px
-    facts = []
-    if error is not None:
-        facts.append(f"<b>{error:.2f} px</b> expected error")
-    if row.photos is not None:
-        facts.append(f"{row.photos} photo{'s' * (row.photos != 1)}")
-    if row.seen_share is not None:
-        facts.append(f"{percent(row.seen_share)} of the surface seen")
-    if row.total_s is not None:
-        facts.append(in_words(row.total_s))
-    links = [
-        f'<a href="{quote(path)}">{word}</a>'
-        for path, word in (
-            (row.report, "report"),
-            (row.model, "model"),
-            (row.cameras, "cameras"),
-            (f"{row.name}/{LOG}" if row.has_log else "", "log"),
-        )
-        if path
-    ]
-    badge = _words(key)
-    if row.status == "mended" and row.verdict:
-        badge = f"{badge}, mended"
-    warnings = [w for w in row.warnings if w != row.sentence]
-    told = "".join(f"<li>{html.escape(text)}</li>" for text in (*warnings, *row.notes))
-    return (
-        f'<article class="{_css(key)}" data-key="{key}" data-rank="{rank}" '
-        f'data-name="{html.escape(row.name)}" '
-        f'data-error="{"" if error is None else f"{error:.6g}"}" '
-        f'data-time="{"" if row.total_s is None else f"{row.total_s:.3f}"}">'
-        f'<div class="pictures">{_pictures(row)}</div>'
-        f'<div class="told"><h2>{html.escape(row.name)}</h2>'
-        f'<p class="badge"><i></i>{badge}</p>'
-        f'<p class="sentence">{html.escape(row.sentence)}</p>'
-        + (f'<ul class="warnings">{told}</ul>' if told else "")
-        + f'<p class="facts">{" · ".join(facts)}</p>'
-        f'<p class="links">{" ".join(links)}</p>'
-        f"{_command(out, row)}</div></article>"
-    )
-
-
-def _pictures(row: SummaryRow) -> str:
-    if not row.has_thumbnails:
-        return '<div class="none">no pictures</div>'
-    return "".join(
-        f'<figure><img loading="lazy" src="{quote(f"{row.name}/{file}")}" '
-        f'alt="overlay {word}"><figcaption>{word}</figcaption></figure>'
-        for file, word in ((BEFORE, "before"), (AFTER, "after"))
-    )
-
-
-def _command(out: Path, row: SummaryRow) -> str:
-    if not row.can_be_opened:
-        return ""
-    command = shlex.join(["photoreg", "app", str(out / row.name)])
-    return (
-        f'<div class="command"><code>{html.escape(command)}</code>'
-        f'<button type="button" data-copy="{html.escape(command)}">Copy</button></div>'
+        counts[row.key] += 1
+    return rendered(
+        "triage.html",
+        mark=COMMENT,
+        title=out.name,
+        folder=out,
+        rows=sorted(rows, key=lambda row: row.rank),
+        counts=counts,
+        words=STATUS_WORDS,
+        pictures={"before": BEFORE, "after": AFTER},
+        command=lambda row: shlex.join(["photoreg", "app", str(out / row.name)]),
     )

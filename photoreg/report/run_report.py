@@ -4,9 +4,7 @@ import dataclasses
 import importlib.metadata
 import math
 import platform
-import string
 from collections.abc import Sequence
-from html import escape
 from typing import Any
 
 from photoreg.formats.mark import COMMENT
@@ -15,7 +13,7 @@ from photoreg.registration.config import RegistrationConfig
 from photoreg.report.comparison_html import SWIPE_STYLE, comparison_html
 from photoreg.report.cost_curve import CurvePoint
 from photoreg.report.photo_comparison import PhotoComparison
-from photoreg.report.static_files import static_text
+from photoreg.report.templates import rendered
 from photoreg.words import number
 
 PROGRAMS = ("photoreg", "numpy", "numba", "opencv-python-headless", "scipy")
@@ -57,27 +55,17 @@ class RunReport:
 
 def report_html(run: RunReport) -> str:
     """Pictures, curve, numbers, settings and versions as a page."""
-    pictures = "".join(
-        f"<h3>{escape(photo.carried)} projected onto "
-        f"{escape(photo.name)}</h3>" + comparison_html(photo, run.left)
-        for photo in run.comparisons
-    )
-    return string.Template(static_text("compare.html")).substitute(
-        mark=f"<!-- {COMMENT} -->",
-        title=escape(run.title),
-        subtitle=escape(run.subtitle),
-        outcome=escape(run.outcome),
-        warnings=_list([f"⚠ {warning}" for warning in run.warnings]),
+    return rendered(
+        "compare.html",
+        mark=COMMENT,
+        run=run,
         style=SWIPE_STYLE,
-        script=static_text("compare.js"),
-        pictures=pictures,
-        numbers=_rows(_numbers(run)),
-        certainty=_list(run.certainty)
-        or "<p>No polish ran, so nothing is known about it.</p>",
+        comparison=comparison_html,
+        numbers=_numbers(run),
         curve=curve_svg(run.curve),
         cameras=_cameras(run),
-        settings=_rows(_settings(run.config)),
-        versions=_rows(_versions()),
+        settings=_settings(run.config),
+        versions=_versions(),
     )
 
 
@@ -130,7 +118,7 @@ def _versions() -> list[tuple[str, str]]:
     return rows
 
 
-def _cameras(run: RunReport) -> str:
+def _cameras(run: RunReport) -> list[tuple[str, str]]:
     rows = []
     for name, start, now in zip(run.photo_names, run.start, run.cameras, strict=True):
         for when, camera in (("before", start), ("now", now)):
@@ -144,21 +132,7 @@ def _cameras(run: RunReport) -> str:
                     f"{place} {run.unit}".rstrip(),
                 )
             )
-    return _rows(rows)
-
-
-def _rows(rows: list[tuple[str, str]]) -> str:
-    body = "".join(
-        f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>"
-        for name, value in rows
-    )
-    return f"<table>{body}</table>"
-
-
-def _list(sentences: Sequence[str]) -> str:
-    if not sentences:
-        return ""
-    return "<ul>" + "".join(f"<li>{escape(s)}</li>" for s in sentences) + "</ul>"
+    return rows
 
 
 def curve_svg(curve: tuple[CurvePoint, ...]) -> str:
