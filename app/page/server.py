@@ -53,7 +53,7 @@ from app.web.hints import button_hints
 from app.web.layout import dock
 from app.web.pending_messages import hear_out
 from app.web.uploads import limit_uploads
-from app.web.widgets import SMALL_BUTTON, Tool, Tools
+from app.web.widgets import Tool, Tools
 from photoreg.errors import PhotoregError
 from photoreg.geometry.camera import Camera
 from photoreg.limits import Limits
@@ -502,7 +502,7 @@ def _job_html(job: Job) -> str:
     if job.can_stop:
         button = (
             '<button title="Ends it; nothing will have changed" '
-            f'style="{SMALL_BUTTON}" {sending("stop")}>Cancel</button>'
+            f'class="pr-small" {sending("stop")}>Cancel</button>'
         )
     return (
         f'{button}<span role="progressbar" aria-valuenow="{100 * job.fraction:.0f}" '

@@ -7,7 +7,6 @@ import viser
 from app.control.controller import Controller
 from app.model import photo_list
 from app.model.camera_moves import guessed_focal_px
-from app.model.markup import escaped, sending
 from app.model.point_pairs import index_of_photo
 from app.model.session import select, setting, with_document
 from app.model.state import PhotoEntry, State, Unit, UpAxis
@@ -16,12 +15,13 @@ from app.scene.own_colours import has_own_colours
 from app.web.bridge import Bridge, Values, Whole
 from app.web.controls import guarded, guarded_slow, put, put_value
 from app.web.uploads import too_large
-from app.web.widgets import SMALL_BUTTON, Choice, Option, help_line
+from app.web.widgets import Choice, Option, help_line
 from photoreg.formats.cameras.registry import CAMERA_SUFFIXES
 from photoreg.formats.meshes.read import MESH_SUFFIXES
 from photoreg.formats.photos.registry import formats_in_words
 from photoreg.geometry.mesh import Mesh
 from photoreg.limits import Limits
+from photoreg.report.templates import part
 from photoreg.words import number
 
 UP_AXES: dict[UpAxis, Option] = {
@@ -41,7 +41,7 @@ UNITS: dict[Unit, Option] = {
 }
 
 DIAGNOSTICS_HTML = help_line(
-    f'Something wrong with the view? <button style="{SMALL_BUTTON}" data-diagnose title="'
+    'Something wrong with the view? <button class="pr-small" data-diagnose title="'
     'Connection, speed of drawing and nodes of the scene">Diagnostics</button>'
 )
 
@@ -209,10 +209,9 @@ class DataPanel:
         put(self._mesh_card, "content", _mesh_card(state))
         self._unit.show(state.document.unit, visible=mesh is not None)
         self._show_up(state)
-        cards = "".join(
-            self._card(i, entry, state, busy) for i, entry in enumerate(state.photos)
-        )
-        put(self._photo_cards, "content", f'<div style="{_COLUMN}">{cards}</div>')
+        cards = [self._card(i, entry, state) for i, entry in enumerate(state.photos)]
+        content = part("data.html", "photos", cards=cards, busy=busy)
+        put(self._photo_cards, "content", content)
 
     def _show_up(self, state: State) -> None:
         document = state.document
@@ -229,61 +228,20 @@ class DataPanel:
             document.up_axis, visible=document.mesh is not None, options=options
         )
 
-    def _card(self, index: int, entry: PhotoEntry, state: State, busy: bool) -> str:
-        # By its address: the cards are sent anew with every step of a run.
-        picture = self._controller.pictures.address(entry.photo, "thumbnail")
-        name = escaped(entry.name)
-        edge = "#2dbeaf" if index == state.selected else "transparent"
-        faded = "" if entry.enabled else "opacity:.5;"
+    def _card(self, index: int, entry: PhotoEntry, state: State) -> dict[str, object]:
         facts = [f"{entry.photo.width} × {entry.photo.height} px"]
         if entry.pairs:
             facts.append(f"{len(entry.pairs)} points")
         if entry.mask_png is not None:
             facts.append("mask")
-        last = index == len(state.photos) - 1
-        at_name = (
-            f'<button title="Rename {name}" aria-label="Rename {name}" '
-            f'style="{_SMALL}{_DIM if busy else ""}" {"disabled" if busy else ""} '
-            "data-rename>✎</button>"
-            + _button("✕", f"Remove {name}", busy, "remove", entry)
-        )
-        buttons = (
-            _button("▲", f"Move {name} up", busy or index == 0, "shift", entry, by=-1)
-            + _button("▼", f"Move {name} down", busy or last, "shift", entry, by=1)
-            + _button(
-                "In use" if entry.enabled else "Not in use",
-                f"{'Leave out' if entry.enabled else 'Use'} {name}",
-                busy,
-                "enable",
-                entry,
-                on=not entry.enabled,
-            )
-            + _button(
-                f"{'☑' if entry.is_cropped else '☐'} Cropped",
-                f"Take {name} for {'the whole photo' if entry.is_cropped else 'a part of one'}",
-                busy,
-                "crop",
-                entry,
-                on=not entry.is_cropped,
-            )
-        )
-        return (
-            f'<div data-photo="{name}" '
-            f'style="{_CARD}cursor:pointer;border-left:3px solid {edge}" '
-            f"{sending('select', photo=entry.name)}>"
-            # A click anywhere on the card is one on the picture, its only button for this.
-            f'<button title="Work on {name}" aria-label="Photo {name}" '
-            f'aria-pressed="{str(index == state.selected).lower()}" style="{_PICTURE}">'
-            f'<img src="{picture}" alt="" style="width:64px;height:56px;display:block;'
-            f'object-fit:cover;border-radius:4px;{faded}"></button>'
-            f'<div style="min-width:0;flex:1"><div style="display:flex;gap:3px">'
-            f'<div style="{_NAME};flex:1;min-width:0;{faded}" '
-            f'class="pr-name" title="{name}">{index + 1}. {escaped(entry.name)}'
-            f'</div>{at_name}</div><div style="{_FACTS};line-height:1.35">{" · ".join(facts)}<br>'
-            f"{escaped(focal_text(entry))}</div>"
-            f'<div style="display:flex;gap:3px;margin-top:4px">{buttons}</div>'
-            "</div></div>"
-        )
+        return {
+            "entry": entry,
+            "selected": index == state.selected,
+            # By its address: the cards are sent anew with every step of a run.
+            "picture": self._controller.pictures.address(entry.photo, "thumbnail"),
+            "facts": facts,
+            "focal": focal_text(entry),
+        }
 
 
 def focal_text(entry: PhotoEntry) -> str:
@@ -302,105 +260,30 @@ def focal_text(entry: PhotoEntry) -> str:
     return text
 
 
-def _button(
-    text: str, title: str, disabled: bool, act: str, entry: PhotoEntry, **values: object
-) -> str:
-    return (
-        f'<button title="{title}" aria-label="{title}" style="{_SMALL}'
-        f'{_DIM if disabled else ""}" '
-        f"{'disabled' if disabled else ''} "
-        f"{sending(act, photo=entry.name, **values)}>{text}</button>"
-    )
-
-
-_SMALL = (
-    "font:inherit;font-size:11px;color:inherit;background:rgba(128,140,155,.2);"
-    "border:0;border-radius:4px;padding:1px 6px;cursor:pointer;line-height:1.5;"
-    "white-space:nowrap;flex:none"
-)
-_DIM = ";opacity:.35;cursor:default"
-_COLUMN = "display:flex;flex-direction:column;gap:6px;margin:2px 12px 4px"
-_CARD = (
-    "display:flex;gap:10px;align-items:center;padding:6px 8px;border-radius:6px;"
-    "background:rgba(128,140,155,.14);"
-)
-_PICTURE = "border:0;padding:0;background:none;border-radius:4px;cursor:pointer"
-_EMPTY = (
-    "border:2px dashed #2dbeaf;border-radius:10px;padding:22px 12px;text-align:center;"
-    "font-size:13px;line-height:1.6"
-)
-_NAME = (
-    "font-size:13px;font-weight:600;white-space:nowrap;overflow:hidden;"
-    "text-overflow:ellipsis"
-)
-_FACTS = "font-size:12px;opacity:.7"
-
-
 def _opening_html(state: State, busy: bool, limits: Limits) -> str:
     """The button that opens files; while one is read, which."""
-    job = state.job
-    text = "Open files …" if job is None else f"{escaped(job.title)} …"
-    no_photos = busy or not state.document.photos
-    return (
-        '<div style="margin:4px 12px 10px">'
-        + _big_button(
-            text,
-            "A mesh, photos, or both, from this computer",
-            "background:#26a69a;color:#04211e",
-            busy,
-        )
-        + f'<div style="{_FINE_PRINT};margin-bottom:9px">'
-        "Or drop them anywhere on this page, several at once. Mesh: "
-        f"{', '.join(suffix[1:].upper() for suffix in MESH_SUFFIXES)}. "
-        f"Photos: {formats_in_words()}. Up to {limits.file_mb:,.0f} MB each. A new "
-        "photo gets a first camera in front of the object; place it in the next tab.</div>"
-        + _big_button(
-            "Load cameras …",
-            "Puts the cameras where another program's file says",
-            "background:rgba(128,140,155,.25);color:inherit",
-            no_photos,
-            ",".join(CAMERA_SUFFIXES) + ",.zip",
-        )
-        + f'<div style="{_FINE_PRINT}">'
-        "To go on from another program: COLMAP (cameras and images together, or a zip), "
-        "Metashape’s XML, RealityScan’s .xmp, Meshroom’s .sfm, MeshLab .mlp, nerfstudio, "
-        "texrecon, OpenCV, Bundler, or photoreg’s own cameras.json. Matched to the photos by file name.</div></div>"
-    )
-
-
-_FINE_PRINT = "font-size:12.5px;opacity:.75;margin-top:7px;line-height:1.45"
-
-
-def _big_button(
-    text: str, title: str, colours: str, disabled: bool, accept: str = ""
-) -> str:
-    dim = "opacity:.5;cursor:default" if disabled else "cursor:pointer"
-    return (
-        f'<button title="{title}" {"disabled" if disabled else ""} '
-        'style="font:inherit;font-size:14px;'
-        f"font-weight:600;border:0;border-radius:5px;padding:9px;width:100%;{colours};"
-        f'{dim}" data-choose="{accept}">{text}</button>'
+    return part(
+        "data.html",
+        "opening",
+        title="Open files" if state.job is None else state.job.title,
+        busy=busy,
+        no_photos=busy or not state.document.photos,
+        meshes=", ".join(suffix[1:].upper() for suffix in MESH_SUFFIXES),
+        photos=formats_in_words(),
+        file_mb=limits.file_mb,
+        camera_suffixes=",".join((*CAMERA_SUFFIXES, ".zip")),
     )
 
 
 def _mesh_card(state: State) -> str:
     mesh = state.document.mesh
     if mesh is None:
-        return (
-            f'<div style="{_COLUMN}"><div style="{_EMPTY}">'
-            '<b style="font-size:15px">Drop a scan and your photos here</b><br>'
-            "or anywhere on this page, all at once.</div></div>"
-        )
+        return part("data.html", "mesh", name=None, facts="")
     size = mesh.bounds[1] - mesh.bounds[0]
-    name = escaped(mesh.name)
     sides = " × ".join(number(float(side)) for side in size)
     unit = state.document.unit
     facts = f"{len(mesh.faces):,} triangles · {sides}{' ' if unit else ''}{unit}"
-    return (
-        f'<div style="{_COLUMN}"><div style="{_CARD}"><div style="min-width:0">'
-        f'<div style="{_NAME}">{name}</div>'
-        f'<div style="{_FACTS}">{facts}</div></div></div></div>'
-    )
+    return part("data.html", "mesh", name=mesh.name, facts=facts)
 
 
 def _same(a: object, b: object) -> bool:

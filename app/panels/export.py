@@ -14,7 +14,7 @@ from app.model.state import State, Texture
 from app.scene.own_colours import has_own_colours
 from app.web.bridge import Bridge
 from app.web.controls import guarded, guarded_slow, notify, put, put_value
-from app.web.widgets import HELP, Choice, Option, help_line
+from app.web.widgets import Choice, Option, help_line
 from photoreg.errors import InputError
 from photoreg.formats.cameras.registry import WRITTEN_FORMATS
 from photoreg.words import in_words
@@ -284,7 +284,7 @@ def _coverage_html(texture: Texture) -> str:
     picture = base64.b64encode(texture.coverage_jpeg).decode()
     # A help line is faint; the picture's and legend's colours are to be the true ones.
     return (
-        f'<div style="{HELP};opacity:1">{legend}<img alt="Which photo paints where" '
+        f'<div class="pr-help" style="opacity:1">{legend}<img alt="Which photo paints where" '
         f'src="data:image/jpeg;base64,{picture}" style="width:100%;margin-top:7px;'
         'border-radius:5px"><div style="opacity:.75">The texture laid flat: brighter '
         "where it is seen better.</div></div>"

@@ -10,7 +10,7 @@ from app.model.markup import escaped, opening
 from app.model.state import FoundCamera, State
 from app.web.bridge import Bridge
 from app.web.controls import guarded, put
-from app.web.widgets import SMALL_BUTTON, Choice, Option, help_line
+from app.web.widgets import Choice, Option, help_line
 from photoreg.geometry.camera import same_camera
 
 HELP = (
@@ -19,7 +19,7 @@ HELP = (
 )
 BOX_HTML = help_line(
     'Much behind the object? <button title="Opens the photo at the left, to drag the box" '
-    f'style="{SMALL_BUTTON}" {opening("Points", "box")}>Draw a box around it</button>'
+    f'class="pr-small" {opening("Points", "box")}>Draw a box around it</button>'
 )
 
 

@@ -15,7 +15,6 @@ from app.panels.freedom import FreedomPanel
 from app.panels.meter import VERDICTS
 from app.panels.runs import RunsPanel
 from app.web.controls import guarded, guarded_slow, put, put_value
-from app.web.widgets import BUTTON, ROW, SELECTED
 from photoreg.registration.config import PresetName, RegistrationConfig
 from photoreg.words import in_words, number
 
@@ -29,8 +28,8 @@ PRESET_HELP: dict[PresetName, str] = {
 FIND = "Find the cameras and refine"
 FIND_AGAIN = f"{FIND} again"
 NEXT_HTML = (
-    f'<div style="{ROW}"><button title="Opens tab 4, Export" style="{BUTTON};{SELECTED};'
-    f'padding:7px" {opening("4 Export")}>Next: make the texture</button></div>'
+    f'<div class="pr-row"><button title="Opens tab 4, Export" class="pr-option pr-next" '
+    f"{opening('4 Export')}>Next: make the texture</button></div>"
 )
 
 

@@ -33,7 +33,7 @@ MASK_COLOUR = (255, 70, 70)
 Answer = tuple[str, bytes]
 """Content type and body."""
 
-_SCRIPT = re.compile(r"/photoreg/([a-z]+)\.js")
+_SCRIPT = re.compile(r"/photoreg/([a-z]+)\.(js|css)")
 _WHOLE = re.compile(r"/photoreg/photo/([0-9]+)/([a-z]+)\.jpg")
 _TILE = re.compile(r"/photoreg/photo/([0-9]+)/([0-9]{1,4})/([0-9]{1,4})\.jpg")
 _MASK = re.compile(r"/photoreg/mask/([0-9]+)\.png")
@@ -92,8 +92,9 @@ class PhotoServer:
     def find(self, path: str) -> Answer | None:
         """The same at once."""
         if match := _SCRIPT.fullmatch(path):
-            file = static_folder() / f"{match[1]}.js"
-            return ("text/javascript", file.read_bytes()) if file.is_file() else None
+            file = static_folder() / f"{match[1]}.{match[2]}"
+            kind = {"js": "text/javascript", "css": "text/css"}[match[2]]
+            return (kind, file.read_bytes()) if file.is_file() else None
         if match := _WHOLE.fullmatch(path):
             return self._whole(match[1], match[2])
         if match := _TILE.fullmatch(path):

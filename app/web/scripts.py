@@ -1,4 +1,4 @@
-"""Our own scripts, put into viser's page as it is served.
+"""Our own scripts and stylesheet, put into viser's page as it is served.
 
 viser's page takes scripts of an app only as attributes of HTML, which would run anybody's
 too. Here they stand in the page's head, as files from this server.
@@ -40,7 +40,7 @@ def with_scripts(following: Any) -> Hook:
 
 @functools.lru_cache(maxsize=4)
 def _with_tags(page: bytes, is_packed: bool) -> bytes:
-    tags = "".join(
+    tags = '<link rel="stylesheet" href="/photoreg/page.css">' + "".join(
         f'<script defer src="/photoreg/{name}.js"></script>' for name in SCRIPTS
     )
     whole = gzip.decompress(page) if is_packed else page

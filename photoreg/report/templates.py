@@ -1,6 +1,7 @@
 """HTML from the templates of `static/`: what is filled in is escaped, and none is missing."""
 
 import functools
+import json
 
 import jinja2
 
@@ -17,14 +18,20 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
         auto_reload=False,
     )
-    environment.globals["static_text"] = static_text
+    environment.globals |= {"static_text": static_text, "json": json.dumps}
     return environment
 
 
-def rendered(name: str, **values: object) -> str:
-    """The template ``name`` with these values.
+def rendered(template: str, /, **values: object) -> str:
+    """A template with these values.
 
     Raises:
         jinja2.UndefinedError: if the template needs a value that is not given.
     """
-    return _environment().get_template(name).render(values)
+    return _environment().get_template(template).render(values)
+
+
+def part(template: str, macro: str, /, **values: object) -> str:
+    """What a macro of a template makes of these values."""
+    # A plain text: what is rendered is of a class that escapes what is added to it.
+    return str(getattr(_environment().get_template(template).module, macro)(**values))

@@ -13,7 +13,6 @@ import viser
 from app.model.session import with_document, with_entry
 from app.model.state import PointPair
 from app.page.server import Page
-from app.web.widgets import HELP
 from photoreg.geometry.camera import same_camera
 from photoreg.report.comparison_html import swipe_html
 from tests.browser.driver import FINE, wait_until
@@ -184,7 +183,7 @@ def htmls(app) -> list[str]:
 def is_help(handle: Any) -> bool:
     """Whether it is a line in small print, or in italics."""
     if isinstance(handle, viser.GuiHtmlHandle):
-        return HELP in handle.content
+        return 'class="pr-help' in handle.content
     return isinstance(handle, viser.GuiMarkdownHandle) and handle.content.startswith(
         "*"
     )
