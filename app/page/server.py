@@ -19,7 +19,7 @@ import viser
 from app.control.camera_claims import CameraClaims
 from app.control.controller import Controller
 from app.model.failures import is_news, log_failure
-from app.model.markup import escaped, mounted, sending
+from app.model.markup import mounted
 from app.model.session import Session, blinked, with_entry
 from app.model.state import Job, Notice, State
 from app.panels.align import AlignPanel
@@ -57,6 +57,7 @@ from app.web.widgets import Tool, Tools
 from photoreg.errors import PhotoregError
 from photoreg.geometry.camera import Camera
 from photoreg.limits import Limits
+from photoreg.report.templates import part
 from photoreg.words import in_words
 
 PAINT_PERIOD_S = 1 / 30
@@ -464,7 +465,7 @@ def travel_tools(state: State) -> list[Tool]:
 def status_line(state: State, is_kept: bool = True) -> str:
     """What is going on, in one line that is always on screen; what may end it, too."""
     run, job = state.run, state.job
-    tail = ""
+    told: Job | None = None
     if state.saving:
         colour, text = "#e5484d", state.saving
     elif not is_kept:
@@ -473,7 +474,7 @@ def status_line(state: State, is_kept: bool = True) -> str:
         left_s = job.seconds_left(time.monotonic())
         left = "" if left_s is None else f" about {in_words(left_s)} left"
         colour, text = "#e8a33d", f"{job.title} …{left}"
-        tail = _job_html(job)
+        told = job
     elif run.is_active:
         doing = "Paused" if run.status == "paused" else "Refining"
         colour, text = "#e8a33d", f"{doing}: {run.step or 'starting'}"
@@ -487,27 +488,5 @@ def status_line(state: State, is_kept: bool = True) -> str:
         colour, text = "#98a2b3", f"{state.worker} …"
     else:
         colour, text = "#2dbeaf", state.note or "Ready."
-    return (
-        f'{mounted("head")}<div style="display:flex;flex-wrap:wrap;align-items:center;gap:8px;'
-        'margin:10px 12px 8px;font-size:13px;line-height:1.3"><span style="width:9px;'
-        f'height:9px;border-radius:50%;background:{colour};flex:none"></span>'
-        '<span style="flex:1;min-width:0;overflow-wrap:anywhere" role="status">'
-        f"{escaped(text)}</span>{tail}</div>"
-    )
-
-
-def _job_html(job: Job) -> str:
-    """How far a job is, and a button that ends it where that is possible."""
-    button = ""
-    if job.can_stop:
-        button = (
-            '<button title="Ends it; nothing will have changed" '
-            f'class="pr-small" {sending("stop")}>Cancel</button>'
-        )
-    return (
-        f'{button}<span role="progressbar" aria-valuenow="{100 * job.fraction:.0f}" '
-        'style="flex:0 0 100%;height:5px;border-radius:3px;overflow:hidden;'
-        'background:rgba(128,140,155,.25)"><span style="display:block;height:100%;'
-        f"width:{100 * job.fraction:.1f}%;background:#e8a33d;"
-        'transition:width .3s"></span></span>'
-    )
+    content = part("widgets.html", "status", colour=colour, text=text, job=told)
+    return mounted("head") + content

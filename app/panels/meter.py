@@ -1,8 +1,9 @@
 """The line that is always on screen: how well the photos agree, in a number and words."""
 
-from app.model.markup import escaped, mounted
+from app.model.markup import mounted
 from app.model.state import Agreement, State
 from photoreg.registration.verdict import Grade
+from photoreg.report.templates import part
 
 CLOSE, ROUGH = 0.9, 0.25
 """Shares of agreement. Of the demo 20 px off it is 0.6, 5 px off 0.97, 37 px off 0.1."""
@@ -61,12 +62,13 @@ def closeness(found: Agreement) -> tuple[str, str]:
 
 
 def _bar(share: float, colour: str, title: str, text: str) -> str:
-    return (
-        f'{mounted("head")}<div title="{MEANING}" style="margin:0 12px 8px;line-height:1.35">'
-        '<div style="display:flex;align-items:center;gap:10px;font-size:13px">'
-        f'<span style="font-weight:600;white-space:nowrap">{escaped(title)}</span>'
-        '<span style="flex:1;height:6px;border-radius:3px;overflow:hidden;'
-        'background:rgba(128,140,155,.25)"><span style="display:block;height:100%;'
-        f'width:{100 * share:.0f}%;background:{colour}"></span></span></div>'
-        f'<div style="font-size:12px;opacity:.75">{escaped(text)}</div></div>'
+    content = part(
+        "widgets.html",
+        "meter",
+        share=share,
+        colour=colour,
+        title=title,
+        text=text,
+        meaning=MEANING,
     )
+    return mounted("head") + content
