@@ -110,7 +110,8 @@ def first_camera(
     camera = Camera.look_at(
         target + distance * toward, target, up_axis, focal_px, photo.width, photo.height
     )
-    return camera if photo.known_lens is None else camera.with_lens(photo.known_lens)
+    known = photo.known_lens
+    return camera if known is None else camera.with_lens(known.lens)
 
 
 def with_focal(

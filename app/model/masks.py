@@ -4,6 +4,7 @@ A photo of 50 megapixels has a mask of 50 MB, and undo keeps many; as PNG it is 
 kilobytes. No viser here.
 """
 
+import functools
 import hashlib
 import io
 import itertools
@@ -45,7 +46,8 @@ def decode_mask(png: bytes) -> np.ndarray:
     return grey >= 128
 
 
-def masks_stamp(masks: Sequence[bytes | None]) -> str:
+@functools.lru_cache(maxsize=4)
+def masks_stamp(masks: tuple[bytes | None, ...]) -> str:
     """Tells masks from others, in a line that can be kept; empty where there is none."""
     if not any(masks):
         return ""

@@ -253,8 +253,9 @@ def focal_text(entry: PhotoEntry) -> str:
     else:
         at_start, where = guessed_focal_px(photo), "a guess: no EXIF"
     text = f"{text}, {where}" if math.isclose(focal_px, at_start) else text
-    if photo.known_lens is not None and entry.camera.lens == photo.known_lens:
-        text += f" · lens {photo.known_lens_note}"
+    known = photo.known_lens
+    if known is not None and entry.camera.lens == known.lens:
+        text += f" · lens by lensfun ({known.name})"
     if entry.is_cropped:
         text += " · cropped: its middle may not be the lens's; give the whole photo if you can"
     return text

@@ -23,6 +23,16 @@ MAX_KEPT, MAX_KEPT_PIXELS = 4, 1 << 20
 the 36 MB of a photo of 12 megapixels."""
 
 
+@dataclasses.dataclass(frozen=True)
+class KnownLens:
+    """A lens of lensfun's database."""
+
+    lens: Lens
+    """Its radial terms at the photo's focal length."""
+    name: str
+    """As the database names it."""
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Photo:
     """A photograph as displayed: EXIF orientation is already applied.
@@ -46,10 +56,8 @@ class Photo:
     """Where EXIF has the focal length from and how sure that is, for people."""
     is_cropped: bool = False
     """Whether EXIF shows that a part was cut off: the principal point may lie anywhere."""
-    known_lens: Lens | None = None
-    """The lens's distortion by lensfun, a starting value; None if it is not known."""
-    known_lens_note: str = ""
-    """Which lens that is, for people."""
+    known_lens: KnownLens | None = None
+    """The lens that took it, where lensfun knows it; its distortion is a starting value."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "name", nfc(self.name))

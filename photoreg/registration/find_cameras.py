@@ -69,7 +69,6 @@ def _events(
     seed: int,
 ) -> Generator[PlacingEvent, None, None]:
     placed = yield from _within(placing, 0.0, OUTLINES_UNTIL)
-    placed = _through_known_lenses(photos, placed)
     judging = _judged(mesh, photos, placed, seed)
     placed = yield from _within(judging, OUTLINES_UNTIL, JUDGED_UNTIL)
     # A guessed outline may look like a round thing's.
@@ -77,7 +76,6 @@ def _events(
     if placed.grade != "found" and not is_round and len(photos) > 1:
         fitting = place_by_points(mesh, photos, focals_px)
         by_points = yield from _within(fitting, JUDGED_UNTIL, POINTS_UNTIL)
-        by_points = _through_known_lenses(photos, by_points)
         judging = _judged(mesh, photos, by_points, seed)
         by_points = yield from _within(judging, POINTS_UNTIL, 1.0)
         if _is_better(by_points, placed):
@@ -91,10 +89,10 @@ def _through_known_lenses(photos: Sequence[Photo], placed: Placed) -> Placed:
         placed,
         placements=tuple(
             one
-            if photo.known_lens is None
+            if (known := photo.known_lens) is None
             else dataclasses.replace(
                 one,
-                candidates=tuple(c.with_lens(photo.known_lens) for c in one.candidates),
+                candidates=tuple(c.with_lens(known.lens) for c in one.candidates),
             )
             for photo, one in zip(photos, placed.placements, strict=True)
         ),
@@ -139,7 +137,8 @@ def _is_another(a: Camera, b: Camera) -> bool:
 def _judged(
     mesh: Mesh, photos: Sequence[Photo], placed: Placed, seed: int
 ) -> Generator[PlacingEvent, None, None]:
-    """The placements, with what refining says of those that are unsure."""
+    """The placements, with known lenses, and what refining says of those that are unsure."""
+    placed = _through_known_lenses(photos, placed)
     known = [i for i, one in enumerate(placed.placements) if one.candidates]
     placements = [placed.placements[i] for i in known]
     doubtful = [one for one in placements if one.grade == "unsure"]

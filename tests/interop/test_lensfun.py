@@ -81,5 +81,5 @@ def test_a_photo_is_read_with_its_lens_unless_it_is_cropped(
         assert photo.known_lens is None
     else:
         assert photo.known_lens is not None
-        assert photo.known_lens.k1 < -0.05
-        assert "24-120mm" in photo.known_lens_note
+        assert photo.known_lens.lens.k1 < -0.05
+        assert "24-120mm" in photo.known_lens.name

@@ -11,7 +11,8 @@ from collections.abc import Callable
 import numpy as np
 from PIL import ExifTags, Image
 
-from photoreg.formats.photos.lens_database import KnownLens, known_lens
+from photoreg.formats.photos.lens_database import known_lens
+from photoreg.imaging.photo import KnownLens
 
 FILM_DIAGONAL_MM = float(np.hypot(36.0, 24.0))
 SHORTEST_MM, LONGEST_MM = 8.0, 2000.0

@@ -8,7 +8,6 @@ References:
     lensfun, https://lensfun.github.io: its distortion models, and its database (CC BY-SA).
 """
 
-import dataclasses
 import functools
 import importlib
 from typing import Any
@@ -16,22 +15,13 @@ from typing import Any
 import numpy as np
 
 from photoreg.geometry.lens import Lens
+from photoreg.imaging.photo import KnownLens
 
 LONGER_SIDE_PX = 256
 """Of the grid on which lensfun's distortion is sampled."""
 WORST_FIT = 1e-3
 """How far the terms may be off lensfun's own distortion, of the photo's longer side: as a
 start, to be refined, a pixel at 1,000 is near enough."""
-
-
-@dataclasses.dataclass(frozen=True)
-class KnownLens:
-    """A lens of the database."""
-
-    lens: Lens
-    """Its radial terms at the photo's focal length."""
-    name: str
-    """As the database names it."""
 
 
 def known_lens(

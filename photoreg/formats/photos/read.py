@@ -29,7 +29,7 @@ def load_photo(path: Path | str, limits: Limits | None = None) -> Photo:
     limits = limits or Limits.of_environment()
     path = check_input_file(Path(path), "photo", limits.file_mb)
     decoded = decode(path, limits)
-    focal, lens = decoded.facts.focal, decoded.facts.lens
+    focal = decoded.facts.focal
     return Photo(
         presentable(path.name),
         decoded.pixels,
@@ -38,6 +38,5 @@ def load_photo(path: Path | str, limits: Limits | None = None) -> Photo:
         source_file(path),
         "" if focal is None else focal.note,
         decoded.facts.is_cropped,
-        None if lens is None else lens.lens,
-        "" if lens is None else f"by lensfun ({lens.name})",
+        decoded.facts.lens,
     )

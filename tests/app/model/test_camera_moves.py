@@ -20,7 +20,7 @@ from photoreg.errors import InputError
 from photoreg.geometry.camera import Camera
 from photoreg.geometry.lens import Lens
 from photoreg.geometry.mesh import Mesh
-from photoreg.imaging.photo import Photo
+from photoreg.imaging.photo import KnownLens, Photo
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,8 @@ def test_a_first_camera_has_the_lens_that_is_known_and_stands_where_it_would(mes
     photo = Photo("a.jpg", np.zeros((480, 640, 3), np.uint8))
     lens = Lens(k1=-0.07, k2=0.02)
     plain = first_camera(mesh, photo, (0, 1, 0))
-    camera = first_camera(mesh, dataclasses.replace(photo, known_lens=lens), (0, 1, 0))
+    photo = dataclasses.replace(photo, known_lens=KnownLens(lens, "50 mm"))
+    camera = first_camera(mesh, photo, (0, 1, 0))
     assert camera.lens == lens
     assert plain.lens.is_ideal
     assert np.array_equal(camera.P, plain.P)

@@ -33,8 +33,8 @@ def test_masks_are_told_apart_by_what_they_are_and_by_their_photo():
         for masks in ((left, None), (None, left), (left, right), (right, left))
     ]
     assert len(set(stamps)) == 4
-    assert stamps[0] == masks_stamp([left, None])
-    assert masks_stamp([None, None]) == masks_stamp(()) == ""
+    assert stamps[0] == masks_stamp((left, None))
+    assert masks_stamp((None, None)) == masks_stamp(()) == ""
 
 
 @pytest.mark.parametrize("counts", [False, True])

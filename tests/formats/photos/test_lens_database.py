@@ -9,7 +9,7 @@ from photoreg.formats.photos import lens_database
 from photoreg.formats.photos.lens_database import known_lens, radial_terms
 from photoreg.geometry.camera import Camera, centred_intrinsics
 from photoreg.geometry.lens import Lens
-from photoreg.imaging.photo import Photo
+from photoreg.imaging.photo import KnownLens, Photo
 from photoreg.placing.outcome import Placed, Placement
 from photoreg.registration.find_cameras import _through_known_lenses
 
@@ -47,7 +47,7 @@ def test_without_the_database_nothing_is_known(monkeypatch):
 def test_cameras_that_are_found_start_with_the_lenses_that_are_known():
     lens = Lens(k1=-0.07, k2=0.02)
     pixels = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
-    known = Photo("known.jpg", pixels, known_lens=lens, known_lens_note="by lensfun")
+    known = Photo("known.jpg", pixels, known_lens=KnownLens(lens, "50 mm"))
     unknown = Photo("unknown.jpg", pixels)
     camera = Camera(
         centred_intrinsics(FOCAL_PX, WIDTH, HEIGHT),
