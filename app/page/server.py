@@ -483,7 +483,8 @@ def status_line(state: State, is_kept: bool = True) -> str:
     elif run.status == "review":
         colour, text = "#2dbeaf", "Refined. Accept or revert in tab 3."
     elif state.document.mesh is None:
-        colour, text = "#98a2b3", "Drop a scan and your photos on this page."
+        colour = "#98a2b3"
+        text = f"{state.note} Drop a scan and your photos on this page.".lstrip()
     elif state.worker:
         colour, text = "#98a2b3", f"{state.worker} …"
     else:
