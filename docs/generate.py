@@ -175,7 +175,7 @@ def figure(path: str) -> str:
 
 def _value(path: str) -> str:
     module, _, name = path.rpartition(".")
-    return f"{getattr(importlib.import_module(module), name):g}"
+    return f"{getattr(importlib.import_module(module), name):,.9g}"
 
 
 def _file(path: str) -> str:
@@ -211,6 +211,7 @@ _TABLES: dict[str, Callable[[], str]] = {
     "model formats": _model_formats,
     "figures table": _figures_table,
     "figures summary": summary_table,
+    "machine": lambda: published()["machine"],
 }
 _WITH_ARGUMENT: dict[str, Callable[[str], str]] = {
     "figures": _sentence,

@@ -83,6 +83,25 @@ def test_figures_of_the_baseline_are_rounded_and_not_typed() -> None:
     assert generate.baseline("texture.usual.memory 1") == "1.4"
 
 
+MEASURED = re.compile(
+    r"(?<![\d.])\d[\d.,]* (px|pixels?) off|(tenths?|quarters?) of a pixel"
+    r"|a pixel or more"
+)
+"""Errors in pixels, as pages would state them."""
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_pages_type_no_measured_error(page: Path) -> None:
+    """They take it from tests/bench/published.json: `figure` and `figures`."""
+    text = re.sub(r"\s+", " ", page.read_text(encoding="utf-8"))
+    assert not [found.group() for found in MEASURED.finditer(text)]
+
+
+def test_a_measured_error_that_is_typed_is_noticed() -> None:
+    for typed in ("about 20 pixels off", "under a tenth of a pixel", "0.3 px off"):
+        assert MEASURED.search(typed), typed
+
+
 def test_published_figures_that_the_baseline_has_are_those_of_the_baseline() -> None:
     for statistic in ("least", "worst"):
         measured = f"bumpy_scans.true_over_estimated.{statistic} 1"
