@@ -38,7 +38,7 @@ from app.model.scene_files import DISPLAY_FACES, first_names
 from photoreg.errors import PhotoregError
 from photoreg.formats.archives import unzipped
 from photoreg.formats.cameras.cameras_json import CameraFile
-from photoreg.formats.cameras.find import find_cameras
+from photoreg.formats.cameras.find import find_camera_file
 from photoreg.formats.cameras.meshlab import PADDED
 from photoreg.formats.cameras.registry import format_to_read, read_cameras
 from photoreg.formats.foreign import what_to_do
@@ -200,7 +200,7 @@ def _read(wanted: ReadRequest) -> Iterator[ReadingEvent]:
         yield Reading(f"Reading {name}{of}", done)
         with _failures(f"Reading {name}") as failures:
             if place == wanted.cameras:
-                path = find_cameras(place)
+                path = find_camera_file(place)
                 told = path.name if path.is_file() else format_to_read(path).label
                 file = read_cameras(path, photos=wanted.photos)
                 if file.moved is not None:

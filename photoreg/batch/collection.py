@@ -12,7 +12,7 @@ from typing import Any, get_args
 from photoreg.batch.settings import ObjectSettings
 from photoreg.checks import check_input_file
 from photoreg.errors import InputError
-from photoreg.formats.cameras.find import find_cameras
+from photoreg.formats.cameras.find import find_camera_file
 from photoreg.formats.meshes.read import MESH_SUFFIXES
 from photoreg.formats.photos.registry import PHOTO_SUFFIXES
 from photoreg.geometry.lens import Distortion
@@ -162,7 +162,7 @@ def find_inputs(folder: Path) -> Inputs:
     rough = [path for path in files if path.name == ROUGH_CAMERAS]
     if len(rough) > 1:
         raise InputError(f"There are {len(rough)} rough cameras: {named(rough)}.")
-    cameras = rough[0] if rough else find_cameras(folder)
+    cameras = rough[0] if rough else find_camera_file(folder)
     return Inputs(meshes[0], tuple(photos), cameras, has_textures=True)
 
 

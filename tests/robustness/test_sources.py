@@ -14,7 +14,7 @@ import app
 import photoreg
 from photoreg.errors import InputError
 from photoreg.formats.archives import unzipped
-from photoreg.formats.cameras.find import find_cameras
+from photoreg.formats.cameras.find import find_camera_file
 from photoreg.formats.cameras.registry import read_cameras
 from photoreg.formats.meshes.read import load_mesh
 from photoreg.formats.photos.read import load_photo
@@ -97,7 +97,7 @@ def test_a_reader_refuses_what_is_no_file(tmp_path, kind, name, read):
 def test_a_folder_of_cameras_is_searched_without_waiting(tmp_path, kind, names):
     for name in names:
         put(kind, tmp_path / name)
-    for read in (read_cameras, find_cameras):
+    for read in (read_cameras, find_camera_file):
         with pytest.raises(InputError):
             read(tmp_path)
 

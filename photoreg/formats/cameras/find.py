@@ -8,7 +8,7 @@ from photoreg.formats.cameras.registry import SINGLE_FILE_SUFFIXES, format_of_js
 from photoreg.sources import open_for_reading
 
 
-def find_cameras(folder: Path) -> Path:
+def find_camera_file(folder: Path) -> Path:
     """The one camera file, or folder of COLMAP, texrecon or RealityScan, somewhere in a folder.
 
     Raises:

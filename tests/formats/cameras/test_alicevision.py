@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from photoreg.errors import InputError
 from photoreg.formats.cameras.camera_set import CameraSet
-from photoreg.formats.cameras.find import find_cameras
+from photoreg.formats.cameras.find import find_camera_file
 from photoreg.formats.cameras.registry import format_to_read, read_cameras
 from photoreg.formats.mark import is_marked
 from photoreg.geometry.camera import Camera
@@ -175,7 +175,7 @@ def test_it_is_recognised_by_suffix_and_by_contents(tmp_path):
     (tmp_path / "a.json").unlink()
     # Meshroom's other nodes leave files without poses beside.
     (tmp_path / "cameraInit.sfm").write_text('{"views": [], "intrinsics": []}')
-    assert find_cameras(tmp_path) == tmp_path / "a.sfm"
+    assert find_camera_file(tmp_path) == tmp_path / "a.sfm"
 
 
 def test_a_written_file_names_photos_where_they_are(tmp_path, photo_folder):

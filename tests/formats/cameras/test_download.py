@@ -14,7 +14,7 @@ from photoreg.errors import InputError
 from photoreg.formats.archives import unzipped
 from photoreg.formats.cameras.camera_set import largest_shift_px
 from photoreg.formats.cameras.download import PLACES, cameras_download
-from photoreg.formats.cameras.find import find_cameras
+from photoreg.formats.cameras.find import find_camera_file
 from photoreg.formats.cameras.registry import WRITTEN_FORMATS, read_cameras
 from photoreg.formats.meshes.packed import pack
 from photoreg.formats.meshes.read import load_mesh
@@ -54,7 +54,7 @@ def test_what_is_downloaded_is_found_and_read_again(tmp_path, scene, name):
         assert len(list(home.rglob("*.jpg"))) == 2, "the photos are there"
     else:
         (home / made.name).write_bytes(made.content)
-    read = read_cameras(find_cameras(home)).cameras
+    read = read_cameras(find_camera_file(home)).cameras
     assert set(read) == set(cameras.cameras)
     # Bundler loses principal points, MeshLab a rest of a pixel; both are tested apart.
     allowed = {"bundler": 8.0, "meshlab": 0.05}.get(name, 1e-6)
@@ -93,7 +93,7 @@ def test_a_photo_that_exif_turns_is_given_upright_or_its_camera_is_turned(tmp_pa
     made = cameras_download("colmap", {name: camera}, [photo], with_photos=False)
     assert made.losses == []
     unpack(made.content, tmp_path / "alone")
-    turned = read_cameras(find_cameras(tmp_path / "alone")).cameras[name]
+    turned = read_cameras(find_camera_file(tmp_path / "alone")).cameras[name]
     assert (turned.width, turned.height) == (camera.height, camera.width)
 
 
@@ -113,16 +113,18 @@ def test_two_sets_of_cameras_are_told_apart_by_the_user(tmp_path, scene):
         made = cameras_download("colmap", cameras.cameras, photos, with_photos=False)
         unpack(made.content, tmp_path / "work" / folder)
     with pytest.raises(InputError, match=r"2 sets of cameras: 0/sparse/0, 1/sparse/0"):
-        find_cameras(tmp_path / "work")
+        find_camera_file(tmp_path / "work")
 
 
 def test_other_json_beside_a_project_is_not_mistaken_for_cameras(tmp_path, scene):
     cameras, photos = scene
     (tmp_path / "settings.json").write_text('{"frames_a_second": 30}')
-    assert find_cameras(tmp_path).name == "settings.json", "the only one: its own error"
+    assert find_camera_file(tmp_path).name == "settings.json", (
+        "the only one: its own error"
+    )
     made = cameras_download("opencv", cameras.cameras, photos)
     (tmp_path / made.name).write_bytes(made.content)
-    assert find_cameras(tmp_path).name == made.name
+    assert find_camera_file(tmp_path).name == made.name
 
 
 def test_a_renamed_photo_of_texrecon_is_found_by_its_name_here(tmp_path, scene):
@@ -179,7 +181,7 @@ def test_photos_without_lenses_go_with_pinhole_cameras(tmp_path, scene, name):
     made = cameras_download(name, bent, photos, with_photos=False, undistorted=True)
     home = tmp_path / "home"
     unpack(made.content, home)
-    read = read_cameras(find_cameras(home)).cameras
+    read = read_cameras(find_camera_file(home)).cameras
     new = Path(first).with_suffix(".png").name
     assert set(read) == {new, *others}
     assert all(camera.lens.is_ideal for camera in read.values())

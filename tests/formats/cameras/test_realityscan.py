@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from photoreg.errors import InputError, OutputError
 from photoreg.formats.cameras.camera_set import CameraSet
-from photoreg.formats.cameras.find import find_cameras
+from photoreg.formats.cameras.find import find_camera_file
 from photoreg.formats.cameras.registry import (
     format_to_read,
     read_cameras,
@@ -177,7 +177,7 @@ def test_written_files_lie_beside_copies_of_the_photos(tmp_path, photo_folder):
     cameras = camera_set(photo_folder)
     folder, saved = write(tmp_path, "realityscan", cameras)
     assert len(saved.files) == 6
-    assert find_cameras(tmp_path) == folder
+    assert find_camera_file(tmp_path) == folder
     assert format_to_read(folder).name == "realityscan"
     for path in folder.glob("*.xmp"):
         assert is_marked(path)
