@@ -1,7 +1,7 @@
-"""The table of what may move in a camera: one row a number, in the polish's order.
+"""The table of a camera's parameters: one row per number, in the polish's order.
 
-What a number is called, what holds it, how its sizes are told, its prior and how far it
-may go stand here and nowhere else.
+A number's name, what locks it, how its size is displayed, its prior and how far it may
+move are defined here and nowhere else.
 """
 
 import dataclasses
@@ -40,9 +40,9 @@ class Parameter:
     limit: Callable[[Camera, float], float]
     """How far it may go from its base, in the same units."""
     words: str = "{:.2g} px"
-    """How a size is told, in the units of ``plain``."""
+    """How a size is displayed, in the units of ``plain``."""
     plain: Callable[[PriorScales, Camera], float] | None = None
-    """One sigma as it is told: degrees, percent; None: as it is."""
+    """One sigma in the units shown to users: degrees, percent; None: unchanged."""
 
     @property
     def is_shared(self) -> bool:

@@ -101,7 +101,7 @@ class Increments:
 
     @property
     def plain_units(self) -> Float[np.ndarray, "n"]:
-        """One unit of each number as it is told: degrees, percent, pixels."""
+        """One unit of each number in the units shown to users: degrees, percent, pixels."""
         units = zip(self.parameters, self.units, strict=True)
         return np.array(
             [

@@ -1,4 +1,4 @@
-"""A mesh fitted to points whose scale nobody knows: many starts, nearest places, planes.
+"""A mesh fitted to points of unknown scale: many starts, nearest places, planes.
 
 Iterated closest points with a scale, from viewpoints all around the mesh. Distances are
 measured against how far a point is from the camera: against the mesh's size the best fit

@@ -1,6 +1,6 @@
-"""Cameras found by what several photos show alike, where no outline can be told.
+"""Cameras found by features that photos have in common, where there is no clear outline.
 
-Two photos tell points in space up to scale (``two_views``); the mesh is fitted to them from all
+Two photos give points in space up to scale (``two_views``); the mesh is fitted to them from all
 around (``cloud_fit``); and poses are verified by the matches themselves: carried over the
 mesh from one photo into the other, they must arrive where they were matched. Further photos
 follow by the places on the mesh that they share with those that have cameras.

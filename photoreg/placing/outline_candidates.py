@@ -20,7 +20,7 @@ SAME_DEG = 6.0
 """Poses nearer than this are the same one, found twice."""
 FINE_FACES = 20_000
 GUESSED_FOCAL = 1.2
-"""Focal length over the photo's longer side where nobody knows it: a phone's is 0.75, a
+"""Focal length over the photo's longer side where it is unknown: a phone's is 0.75, a
 portrait lens's 2.4."""
 FOCAL_LADDER = (0.7, 1.0, 1.4, 2.0, 2.8)
 """Focal lengths over the photo's longer side that are then tried: two for each doubling,
@@ -56,7 +56,7 @@ class OutlineSearch:
         Args:
             photo: The photo.
             found: The object in it.
-            focal_px: The photo's focal length; None where nobody knows it.
+            focal_px: The photo's focal length; None where it is unknown.
         """
         side = max(photo.width, photo.height)
         base = centred_camera(

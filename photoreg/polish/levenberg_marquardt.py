@@ -268,7 +268,7 @@ def overdispersion(
     add up to the normal matrix. Errors that neighbours share (of the mesh, of the
     light) make it larger; dividing the term's weight by the ratio restores the balance.
 
-    The weight stands for what a term knows, so it takes the share of the precision that
+    The weight expresses how much a term knows, so it takes the share of the precision that
     holds, averaged over directions: the harmonic mean of their ratios. The plain mean is
     that of the worst directions, a thousand times as noisy where both cameras slide
     together; weighted by it, colours that were right to 0.2 px gave way to an outline.

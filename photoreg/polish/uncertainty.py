@@ -35,7 +35,7 @@ class CameraUncertainty:
     """Standard errors of one camera, and what they mean in its photo."""
 
     errors: tuple[float, ...]
-    """Of each parameter, as it is told: degrees, percent of the distance and of the
+    """Of each parameter, in the units shown to users: degrees, percent of the distance and of the
     focal length, pixels; 0 where it was held."""
     parameters: tuple[Parameter, ...]
     """What the errors are of."""
@@ -155,8 +155,8 @@ def undetermined_directions(
 ) -> tuple[str, ...]:
     """Sentences on the directions that stay open, the weakest first.
 
-    ``covariance`` is that of what moved by itself, the columns of ``directions``. A
-    focal length that photos share goes by the first one's name.
+    ``covariance`` is that of the independent parameters, the columns of ``directions``. A
+    focal length that photos share has the name of the first.
     """
     rows = directions.argmax(axis=0)
     values, vectors = np.linalg.eigh(covariance)

@@ -1,4 +1,4 @@
-"""Whether a project from anybody can be opened: all of it is read, nothing is written."""
+"""Whether an untrusted project can be opened: all of it is read, nothing is written."""
 
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping

@@ -1,7 +1,7 @@
-"""What lies in a project's folder: looked at without following a link.
+"""What is in a project's folder, examined without following links.
 
-A folder may hold anybody's files beside the project, under any name and of any kind.
-What is read or written here is a regular file at its own place or nothing.
+A folder may hold other files beside the project, of any name and kind. Only regular files
+at their own place are read or written here.
 """
 
 import contextlib

@@ -1,7 +1,7 @@
-"""What is looked at before a project's database is used: it may come from anybody.
+"""Checks made before a project's database is used: it is untrusted input.
 
-SQLite runs what a schema says: views, triggers, expressions of generated columns. So the
-schema must be to the letter the one that this program makes, and pages must be sound.
+SQLite runs what a schema contains: views, triggers, expressions of generated columns. So
+the schema must be exactly the one that this program makes, and the pages must be intact.
 """
 
 import contextlib
@@ -46,7 +46,7 @@ DAMAGE = (
 
 @contextlib.contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Whatever goes wrong within it says so in one sentence.
+    """Whatever goes wrong within it raises an error of one sentence.
 
     Raises:
         InputError: if the database is damaged.
@@ -165,8 +165,8 @@ def check_rows(connection: sqlite3.Connection, path: Path) -> None:
             ).fetchone()[0]
             if count > most:
                 raise InputError(
-                    f"{path} has more than {most} rows of {table}, which no work makes, "
-                    "so it is not opened."
+                    f"{path} has more than {most} rows of {table}, far more than "
+                    "photoreg writes, so it is not opened."
                 )
 
 

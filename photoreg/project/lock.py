@@ -22,9 +22,9 @@ class FolderLock:
     Two locks are one: of the file `project.lock`, which also tells who holds it, and of
     the folder itself, which no removal of that file undoes.
 
-    The package filelock (4.3.1, tried) does not serve: it locks no folders, so that when
-    the lock's file is removed or replaced two programs hold it and neither is told, and
-    it takes a file that is somebody else's by another name (a hard link).
+    The package filelock (4.3.1, tried) is not enough: it does not lock folders, so when
+    the lock file is removed or replaced two programs hold it and neither notices, and it
+    accepts a hard link to somebody else's file.
     """
 
     def __init__(self, folder: Path) -> None:

@@ -1,7 +1,7 @@
 """The files that a project has made itself: the only ones that it ever removes.
 
-Each is noted down, with its content's hash, before it is written. So what a kill leaves
-can be told from what somebody else put there, which stays whatever its name.
+Each is recorded, with its content's hash, before it is written. So what a killed process
+leaves can be told apart from what somebody else put there, which stays whatever its name.
 """
 
 import contextlib
@@ -60,7 +60,7 @@ class OwnFiles:
         self._max_bytes = Limits.of_environment().file_bytes
 
     def keep(self, name: str, content: bytes) -> Path:
-        """Writes a file under its own name; photos are told by it.
+        """Writes a file under its own name, by which photos are identified.
 
         If another one has that name already, it goes into a numbered folder beside it;
         what is there with the same content is not written again. Not to be called

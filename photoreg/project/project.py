@@ -358,7 +358,7 @@ class Project:
                 self._note_places()
 
     def _check_alone(self) -> None:
-        """Whatever became of the locks: what another program wrote is not written over."""
+        """Whatever happened to the locks, what another program wrote is not overwritten."""
         version = self._connection.execute("PRAGMA data_version").fetchone()
         if version != self._data_version:
             raise OutputError(
@@ -601,7 +601,7 @@ class Project:
         return missing
 
     def _read_kept(self, path: Path) -> bytes:
-        """An uploaded file, even if the folder bears another name meanwhile."""
+        """An uploaded file, even if the folder has been renamed meanwhile."""
         handle = self._lock.open_inside(path.relative_to(self.folder))
         if handle is None:
             return read_regular(path, follow_link=False)

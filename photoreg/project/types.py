@@ -1,7 +1,7 @@
-"""Whether a value is what a field's annotation says: nothing else is made of a project.
+"""Whether a value has the type of a field's annotation; no other is read from a project.
 
-A database may come from anybody. What is text where a number should be would go on until
-it breaks something, or runs as script in a page.
+A database is untrusted input. Text where a number should be would be passed on until it
+breaks something, or runs as a script in a page.
 """
 
 import dataclasses

@@ -6,8 +6,8 @@ what two steps of the history share is kept once. What was read from a file is k
 the file's name and fingerprint and read again.
 
 Fields are kept by name: a field that is new takes its default, one that is gone is
-passed over, so documents outlive changes of the program. A database may come from
-anybody: each part must have the content that its name says, each value the type of its
+ignored, so documents outlive changes to the program. A database is untrusted
+input: each part must have the content that its name says, each value the type of its
 field, and sizes are bounded before anything is unpacked.
 """
 
@@ -42,7 +42,7 @@ MAX_TEXT_BYTES = 32 << 20
 """Size of one text; as objects it takes twenty times as much."""
 
 MAX_VALUES = 5_000_000
-"""Values of one reading: few parts that name each other can stand for very many."""
+"""Values of one reading: a few parts that refer to each other can expand to very many."""
 
 MAX_DIMENSIONS = 4
 DTYPE = re.compile(r"[<>|=]?[biuf][1248]")
@@ -262,7 +262,7 @@ class Values:
         if len(text) > MAX_TEXT_BYTES:
             raise InputError(
                 f"The project's database holds a text of {len(text) / 1e6:.0f} MB, which "
-                "no work makes, so it is not read."
+                "is far more than photoreg writes, so it is not read."
             )
         return json.loads(text)
 
@@ -280,8 +280,8 @@ class Values:
         self._n_values += 1
         if self._n_values > MAX_VALUES:
             raise InputError(
-                f"The project's database stands for more than {MAX_VALUES} values, which "
-                "no work makes, so it is not read."
+                f"The project's database expands to more than {MAX_VALUES} values, far more "
+                "than photoreg writes, so it is not read."
             )
         if isinstance(node, list):
             return tuple(self._value(item) for item in node)

@@ -15,7 +15,7 @@ from photoreg.parameters.genes import GeneMap
 
 N_POINTS = 400
 N_DRAWS = 400
-"""The highest twentieth of the moves, which is told, rests on 20 draws."""
+"""The highest twentieth of the moves, which is reported, is then 20 draws."""
 
 
 def box_reach(

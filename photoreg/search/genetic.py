@@ -121,7 +121,7 @@ class Generation:
     genes: Float[np.ndarray, "p g"]
     """The living population."""
     costs: Float[np.ndarray, "p"]
-    """Its costs; +inf where a cost could not be told."""
+    """Its costs; +inf where a cost could not be computed."""
     best_genes: Float[np.ndarray, "g"]
     """The best individual of the whole search so far."""
     best_cost: float

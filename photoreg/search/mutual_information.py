@@ -153,7 +153,7 @@ def untold_shares(projections, points, labels, clusters, n_labels, n_clusters): 
         projections: (p, 3, 4), into the picture of clusters.
         points: (n, 3).
         labels: (n,) 0 to n_labels - 1.
-        clusters: (h, w) 0 to n_clusters - 1; the last also stands for out of view.
+        clusters: (h, w) 0 to n_clusters - 1; the last also means out of view.
         n_labels: How many labels there are.
         n_clusters: How many clusters.
     """

@@ -284,7 +284,7 @@ def test_few_parts_that_name_each_other_stand_for_no_more_than_may_be(
     for _ in range(40):
         node = {"at": add_part(folder, json.dumps([node] * 10).encode())}
     set_document(folder, node)
-    assert "stands for more than 10000 values" in refusal(folder)
+    assert "expands to more than 10000 values" in refusal(folder)
 
 
 def test_a_part_that_is_not_what_its_name_says_is_damaged(folder: Path) -> None:

@@ -103,7 +103,7 @@ def obj_cases() -> Iterator[Case]:
                 "m.obj",
                 "\n".join(text).encode(),
                 "read: 1 triangles" if key == "vt" else "texture coordinates",
-                f"words where the numbers of {kind}",
+                f"Some {kind} are not numbers",
             )
     yield case("comments behind numbers", [f"{line} # here" for line in lines])
     yield case("lines that go on", obj().replace(b"f 1 ", b"f 1 \\\n"))
@@ -217,7 +217,7 @@ def obj_cases() -> Iterator[Case]:
             "m.obj",
             textured(f"{key} t.png"),
             "texture coordinates",
-            "t.png is no picture of the surface's colours",
+            "t.png does not hold the surface's colours",
         )
     two = ["mtllib m.mtl", *vertices, "usemtl a", *faces[:2], "usemtl b", *faces[2:]]
     kinds = {"m.mtl": b"newmtl a\nKd 1 0 0\nnewmtl b\nKd 0 1 0\n"}
@@ -230,7 +230,9 @@ def obj_cases() -> Iterator[Case]:
     )
     for word in ("-1.#IND", "1.#QNAN", "-nan(ind)", "1,5", "1.0D0"):
         yield case(
-            f"a vertex at {word}", [f"v 0 0 {word}", *vertices[1:], *faces], "words"
+            f"a vertex at {word}",
+            [f"v 0 0 {word}", *vertices[1:], *faces],
+            "not numbers",
         )
     yield case("comments behind numbers", [f"{line} # it" for line in lines])
     yield Case(

@@ -209,7 +209,7 @@ class _Plain:
             mesh["primitives"] = kept
         if n_other:
             notes.append(
-                f"{n_other} sets of lines or points, which are no surface, were left out."
+                f"{n_other} sets of lines or points, which are not part of the surface, were left out."
             )
         scenes = self._document.get("scenes", [])
         if len(scenes) > 1:

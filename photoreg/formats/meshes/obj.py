@@ -23,30 +23,29 @@ from photoreg.limits import Limits
 from photoreg.sources import read_regular
 
 _CURVED = (b"curv", b"curv2", b"surf", b"cstype", b"deg", b"bmat", b"step", b"con")
-"""Statements of surfaces that are not made of polygons."""
-
+"""Statements that define free-form curves and surfaces."""
 
 _KNOWN = (
     *(b"v", b"vt", b"vn", b"vp", b"f", b"l", b"p", b"o", b"g", b"s", b"mg"),
     *(b"usemtl", b"mtllib", b"usemap", b"maplib", b"bevel", b"c_interp", b"d_interp"),
     *(b"lod", b"shadow_obj", b"trace_obj", b"parm", b"end", *_CURVED),
 )
-"""Words that a line may begin with; others are reported."""
+"""Keywords that a line may begin with; others are reported."""
 
 _COMMENT = re.compile(rb"(?m)^([ \t]*(?:v|vt|vn|f)[ \t][^#\r\n]*)(?<=[ \t])#[^\r\n]*")
-"""A comment behind numbers, which tinyobjloader does not expect. It begins a word: what
-MSVC writes for what is no number (-1.#IND, 1.#QNAN) has none in it."""
+"""A comment after numbers, which tinyobjloader does not expect. Its # starts a new word,
+unlike that in the NaNs that MSVC writes (-1.#IND, 1.#QNAN)."""
 
 _WORDS = {
     key: re.compile(rb"(?m)^[ \t]*%s[ \t][^\r\n]*[^-+.\deE\s]" % key)
     for key in (b"vt", b"vn")
 }
-"""A line of texture coordinates or normals that holds no numbers only."""
+"""A line of texture coordinates or normals with something that is not a number."""
 
 _MOVED_TEXTURE = re.compile(r"\s-(?:s|o|t|mm)\s+(?:-?[\d.]+(?:[eE][-+]?\d+)?\s+)+")
 """Options of a texture in an MTL file that scale, shift, disturb or fade it."""
 _UNMOVED = {"s": {1.0}, "o": {0.0}, "t": {0.0}, "mm": {0.0, 1.0}}
-"""Their numbers where they do nothing."""
+"""Values with which these options have no effect."""
 
 
 @dataclasses.dataclass
@@ -59,18 +58,18 @@ class _Lines:
     curved: str = ""
     n_lines_and_points: int = 0
     unknown: dict[bytes, int] = dataclasses.field(default_factory=dict)
-    """Words that are not read, and how many lines begin with each: ZBrush's colours of
-    vertices among them, which stand in comments."""
+    """Keywords that are not supported, and how many lines begin with each; among them
+    ZBrush's vertex colours, which are in comments."""
 
 
 def read_obj(path: Path, limits: Limits) -> MeshContents:
     """Reads an OBJ file.
 
     tinyobjloader reads faces and materials. Vertices are read here, to the last bit, and
-    lines of vertices and faces are counted here, so that nothing vanishes unseen.
+    lines of vertices and faces are counted here, so that nothing is lost silently.
 
     Raises:
-        InputError: if a line is not understood, a face names what does not exist, or
+        InputError: if a line is not understood, a face refers to what does not exist, or
             the surface is not made of polygons.
     """
     # Other readers join a line that ends with a backslash to the next.
@@ -91,14 +90,14 @@ def read_obj(path: Path, limits: Limits) -> MeshContents:
         line = re.search(r"[Ll]ine (\d+)", reader.Error())
         raise InputError(
             f"{path.name} could not be read as a mesh: "
-            f"{f'line {line[1]}' if line else 'a line'} is not understood, or names a "
-            "vertex that does not exist. Export it again."
+            f"{f'line {line[1]}' if line else 'a line'} is not understood, or refers to "
+            "a vertex that does not exist. Export it again."
         )
     complaints = reader.Warning()
     if "out of bounds" in complaints:
         raise InputError(
-            f"{path.name} has faces that name vertices, texture coordinates or normals "
-            f"that do not exist ({_one_line(complaints)}). Is the file complete?"
+            f"{path.name} has faces that refer to vertices, texture coordinates or "
+            f"normals that do not exist ({_one_line(complaints)}). Is the file complete?"
         )
     meshes: list[Any] = [shape.mesh for shape in reader.GetShapes()]
     counts = _joined(mesh.num_face_vertices for mesh in meshes)
@@ -118,15 +117,14 @@ def read_obj(path: Path, limits: Limits) -> MeshContents:
     uv, normals, normal_note = None, None, []
     if _WORDS[b"vt"].search(text):
         notes.append(
-            "There are words where the numbers of texture coordinates should be, so it was "
-            "read without these."
+            "Some texture coordinates are not numbers, so the mesh was read without texture "
+            "coordinates."
         )
     else:
         uv = _corner_uv(reader, meshes, cut)
     if _WORDS[b"vn"].search(text):
         notes.append(
-            "There are words where the numbers of normals should be, so it was read "
-            "without these."
+            "Some normals are not numbers, so the mesh was read without normals."
         )
     else:
         normals, normal_note = _normals(reader, meshes, corners, len(vertices))
@@ -139,8 +137,8 @@ def read_obj(path: Path, limits: Limits) -> MeshContents:
         face_picture = face_picture[polygon]
     if lines.n_lines_and_points:
         notes.append(
-            f"{lines.n_lines_and_points:,} lines and points, which are no surface, were "
-            "left out."
+            f"{lines.n_lines_and_points:,} lines and points, which are not part of the "
+            "surface, were left out."
         )
     notes += colour_notes
     if lines.unknown:
@@ -197,8 +195,8 @@ def _vertices(
             table = np.array(split, dtype=np.float64)
     except ValueError as error:
         raise InputError(
-            f"{name} could not be read as a mesh: there are words where the numbers of "
-            "a vertex should be. Export it again."
+            f"{name} could not be read as a mesh: a vertex has values "
+            "that are not numbers. Export it again."
         ) from error
     if width < 3:
         raise InputError(
@@ -218,7 +216,7 @@ def _vertices(
             f"{name} has vertices of {width} numbers; x, y and z are understood, and "
             "a weight or a colour after them. Export it again."
         )
-    # x y z, or x y z w, and perhaps red, green, blue behind it.
+    # x y z, or x y z w, and optionally followed by red, green, blue.
     colours = colours_of(table[:, -3:]) if width >= 6 else None
     note = "Only some of its vertices have colours, which were left out."
     notes = [note] if width < 6 <= max(widths) else []
@@ -231,7 +229,7 @@ def _material_text(
     """All MTL files of a mesh as one text, and what could not be read."""
     texts, notes = [], []
     for line in dict.fromkeys(names):
-        # A name may have spaces, or several names may stand on a line.
+        # A name may contain spaces, or a line may hold several names.
         found, note = find_beside(path, line, "material file", limits)
         several = [
             find_beside(path, word, "material file", limits) for word in line.split()
@@ -279,7 +277,7 @@ def _corner_uv(reader: Any, meshes: list[Any], cut: np.ndarray) -> np.ndarray | 
     table = np.array(reader.GetAttrib().texcoords, dtype=np.float64).reshape(-1, 2)
     if len(table) == 0 or not (index >= 0).any():
         return None
-    # Faces without coordinates among others that have them lie in one place.
+    # Faces without coordinates, among others that have them, all map to one point.
     rows = np.vstack([table, [[0.0, 0.0]]])
     return rows[index][cut]
 
@@ -287,7 +285,7 @@ def _corner_uv(reader: Any, meshes: list[Any], cut: np.ndarray) -> np.ndarray | 
 def _normals(
     reader: Any, meshes: list[Any], corners: np.ndarray, n: int
 ) -> tuple[np.ndarray | None, list[str]]:
-    """One normal a vertex: where it has several, along hard edges, their mean."""
+    """One normal per vertex: the mean where it has several, along hard edges."""
     index = _joined(mesh.normal_indices() for mesh in meshes)
     table = np.array(reader.GetAttrib().normals, dtype=np.float64).reshape(-1, 3)
     if len(table) == 0 or not (index >= 0).all():
@@ -333,7 +331,7 @@ def _pictures(
 def _left_out_of_materials(
     reader: Any, meshes: list[Any], has_pictures: bool
 ) -> list[str]:
-    """What the materials in use say of colours that is not read."""
+    """Colours of the materials in use that were not read."""
     known = reader.GetMaterials()
     used = [
         known[i]
@@ -346,8 +344,8 @@ def _left_out_of_materials(
         name = next((other for other in others if other), "")
         if name and not material.diffuse_texname:
             notes.append(
-                f"The texture {name} is no picture of the surface's colours (map_Kd), but of "
-                "ambient or emitted light, and was left out."
+                f"The texture {name} does not hold the surface's colours (map_Kd) but ambient "
+                "or emitted light, and was left out."
             )
     if not has_pictures and len({tuple(m.diffuse) for m in used}) > 1:
         notes.append("The colours of its materials (Kd) were left out.")

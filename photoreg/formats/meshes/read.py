@@ -36,7 +36,7 @@ MESH_SUFFIXES = tuple(_READERS)
 """Of the files that `load_mesh` reads."""
 
 COARSE_STEP = 0.02
-"""Of the size of faces: larger steps of single precision are told."""
+"""Steps of single precision larger than this share of a face's size are reported."""
 
 # What it tells in tracebacks, photoreg tells in sentences.
 logging.getLogger("trimesh").setLevel(logging.CRITICAL)

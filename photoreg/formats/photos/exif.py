@@ -119,7 +119,7 @@ class _Crop:
 
 
 def _crop(get: Callable, width: int, height: int, is_raw: bool) -> _Crop | None:
-    """How the file came from the photo as taken; None if that cannot be told."""
+    """How the photo was cropped since it was taken; None if that cannot be determined."""
     taken = [
         _tag(get, tag)
         for tag in (ExifTags.Base.ExifImageWidth, ExifTags.Base.ExifImageHeight)
