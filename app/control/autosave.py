@@ -213,7 +213,7 @@ class Autosave:
     def wait(self, timeout_s: float | None = PATIENCE_S) -> bool:
         """Waits until all changes so far are on disk; returns whether they are.
 
-        Where they cannot be kept, the state says so, and nobody waits.
+        If they cannot be saved, the state says so and this returns at once.
         """
         with self._condition:
             wanted = self._changed
@@ -271,7 +271,7 @@ class Autosave:
     def _fail(self, sentence: str) -> None:
         if not self._failed:
             log.error("Not kept: %s", sentence)
-        # Said before anybody stops waiting: whoever sees the change sees this too.
+        # Before the waiters are released, so that whoever sees the change sees this too.
         self._say(sentence)
         with self._condition:
             self._failed = True

@@ -209,7 +209,7 @@ class Controller:
     def _hear(self, event: Event) -> None:
         try:
             self._on_event(event)
-        except Exception as error:  # noqa: BLE001 - nobody clicked: all are told.
+        except Exception as error:  # noqa: BLE001 - nobody clicked, so all are notified.
             self._fail(type(event).__name__, error)
 
     def _fail(self, what: str, error: Exception) -> None:
@@ -299,7 +299,7 @@ class Controller:
         )
 
     def _break_off(self, outcome: str) -> str:
-        """Ends the run as it is; returns what a person is told of where it is now."""
+        """Ends the run as it is; returns a sentence on where its result is now."""
         self.session.change(None, lambda state: reducers.broken_off(state, outcome))
         now = self.session.state
         if now.can_go_on:
@@ -327,7 +327,7 @@ class Controller:
             reach = wanted_reach(new)
             is_drawn = needs_overlay(old, new)
             if is_drawn or reach != self._reach_asked:
-                # First: what a photo may not move is told by its place among them.
+                # First, because locks refer to photos by their index.
                 self._send_scene(new.document)
             if reach is not None and reach != self._reach_asked:
                 self.worker.send(reach)

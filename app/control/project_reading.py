@@ -1,7 +1,7 @@
-"""Projects read in a process of their own before the app opens them.
+"""Projects are read in a separate process before the app opens them.
 
-A database, and the photos and meshes that it names, may come from anybody. Whatever is
-wrong with them, they may break, fill or hold up that process only, which Cancel ends.
+A database, and the photos and meshes it names, are untrusted input. They can crash, fill
+or stall only that process, which Cancel ends.
 """
 
 import contextlib

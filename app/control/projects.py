@@ -37,8 +37,7 @@ class Projects:
 
     Args:
         session: What is on screen.
-        read: Reads a project that comes from anybody before it is opened; None: a process
-            of its own does.
+        read: Reads an untrusted project before it is opened; None: in a separate process.
     """
 
     def __init__(
@@ -93,7 +92,7 @@ class Projects:
             )
 
     def begin_unkept(self, document: Document) -> None:
-        """Begins with a document that is kept nowhere, and says so on the page."""
+        """Begins with a document that is not saved, and says so on the page."""
         self._session.begin(document)
         self._session.change(None, setting(saving=NOT_KEPT))
 

@@ -39,7 +39,7 @@ class ResectionSolver:
         session: Session,
         on_failure: Callable[[str, Exception], None] = log_failure,
     ) -> None:
-        """``on_failure`` is told what nobody foresaw, and of what it is a failure."""
+        """``on_failure`` is called with what failed and the unexpected exception."""
         self._session = session
         self._on_failure = on_failure
         self._wake = threading.Event()

@@ -136,7 +136,7 @@ class ProjectLog(logging.handlers.RotatingFileHandler):
         )
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802
-        """Nobody can be told of it here."""
+        """Does nothing: a failure to log cannot be logged."""
 
 
 def log_into(folder: Path) -> logging.Handler:

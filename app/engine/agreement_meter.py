@@ -1,4 +1,4 @@
-"""How well the photos agree, quickly enough to be told while a camera is dragged."""
+"""How well the photos agree, computed quickly enough to show while a camera is dragged."""
 
 import dataclasses
 from collections.abc import Sequence

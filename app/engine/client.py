@@ -165,9 +165,9 @@ def _enter(connection: Connection, warm_up: bool) -> None:
 
 
 def newest(events: list[Event]) -> list[Event]:
-    """Leaves of the passing events (progress, pictures) only the last of each kind.
+    """Keeps only the last of each kind of transient event (progress, pictures).
 
-    The cost curve is kept whole: it is told by its changes.
+    The cost curve is kept whole, because it is sent as changes.
     """
     last = {type(event): i for i, event in enumerate(events)}
     curve = tuple(p for event in events if isinstance(event, Live) for p in event.curve)

@@ -27,7 +27,7 @@ class PictureStream:
 
     def __init__(self, send: Callable[[Event], None]) -> None:
         self.is_watched = True
-        """Whether anybody looks at the pictures of a run that goes on."""
+        """Whether anybody is watching the pictures of the running refinement."""
         self._send = send
         self._newest: Callable[[], Iterator[Event]] | None = None
         self._surface_at = -np.inf

@@ -345,7 +345,7 @@ class WorkerProcess:
 
 
 def cause(error: Exception) -> str:
-    """What a person is told of an error that nobody foresaw, as the end of a sentence."""
+    """The user's message for an unexpected error, as the end of a sentence."""
     match error:
         case MemoryError():
             return "there is not enough memory."

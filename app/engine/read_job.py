@@ -53,7 +53,7 @@ PARSED = 0.6
 """Share of a mesh's time after which its file is read; the rest thins it for display."""
 
 MAX_TOLD = 5
-"""Files in zips of which it is told by name that they were left out."""
+"""At most so many left-out files of a zip are named."""
 
 OF_SYSTEMS = ("thumbs.db", "desktop.ini")
 """What Windows puts beside files, in lower case; macOS's and Linux's begin with a dot."""

@@ -36,7 +36,7 @@ from photoreg.report.cost_curve import CostCurve, CurvePoint
 
 PICTURE_PERIOD_S = 0.16
 """Time between overlay pictures during a refinement: six a second. Cameras, cost
-and words are told along with them: nobody reads faster, and each redraws the page."""
+and text are sent with them: nobody reads faster, and each redraws the page."""
 
 N_CLOUD = 80
 """Individuals whose camera centres are shown."""
@@ -102,7 +102,7 @@ def _is_identical(a: Camera, b: Camera) -> bool:
 
 
 class RefineJob:
-    """A refinement and what is told of it meanwhile."""
+    """A refinement and the events sent while it runs."""
 
     def __init__(
         self,

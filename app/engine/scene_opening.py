@@ -29,7 +29,7 @@ def demo_folder() -> Path:
 def open_folder(folder: Path) -> Document:
     """The scene of a folder as `photoreg synthesize` makes it.
 
-    The mesh and the photos are told by their suffixes, photos in the order of their
+    The mesh and the photos are recognised by their suffixes, photos in the order of their
     names; ``rough.json`` is where to start, ``cameras.json`` the truth beside it, or
     the start where there is no ``rough.json``.
 
@@ -94,7 +94,7 @@ def open_files(paths: Sequence[Path]) -> Document:
         photo = load_photo(path)
         if any(entry.name == photo.name for entry in entries):
             raise InputError(
-                f"Two photos are called {photo.name}; photos are told by file name."
+                f"Two photos are called {photo.name}; each photo needs a file name of its own."
             )
         placed = tuple(entry.camera for entry in entries)
         camera = first_camera(document.mesh, photo, document.up, placed)

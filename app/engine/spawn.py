@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # Windows has but one.
     from multiprocessing.context import ForkServerContext, SpawnContext
 
 PATIENCE_S = 5.0
-"""How long a process or thread that was told to end is waited for."""
+"""How long to wait for a process or thread to end."""
 
 
 def spawned(

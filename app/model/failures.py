@@ -1,6 +1,6 @@
-"""What fails without anybody having foreseen it: once into the log, not over and over.
+"""Unexpected failures: logged once, not over and over.
 
-No viser here; `app.web.controls.report` tells it to the people in front of the page.
+No viser here; `app.web.controls.report` shows them on the page.
 """
 
 import logging

@@ -1,8 +1,8 @@
-"""HTML and Markdown with words in them that this program did not write.
+"""HTML and Markdown that contain text from outside this program.
 
 Names, paths and sentences come from files, other programs and other people. viser's
-page takes HTML as it stands, and HTML within Markdown too. So whatever is not written
-in this program's source is escaped here, and what a click does is told as data, which
+page inserts HTML unescaped, and HTML within Markdown too. So whatever is not written
+in this program's source is escaped here, and what a click does is passed as data, which
 static/page.js reads: the page's policy runs no script in an attribute.
 """
 

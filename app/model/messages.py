@@ -94,7 +94,7 @@ class MeasureReach:
 
 @dataclasses.dataclass(frozen=True)
 class Watch:
-    """Whether anybody looks: else a refinement that runs draws no pictures."""
+    """Whether anybody is watching; if not, a running refinement draws no pictures."""
 
     on: bool
 

@@ -76,7 +76,7 @@ def with_loaded_cameras(state: State, event: CamerasLoaded) -> State:
 
 
 def worked(state: State, event: Working) -> State:
-    """The job goes on; one that is told to stop says so until it has ended."""
+    """The job continues; one that is being stopped stays marked so until it has ended."""
     job = state.job or Job("")
     title = job.title if job.is_stopping else event.title
     job = dataclasses.replace(job, title=title, fraction=event.fraction)

@@ -47,7 +47,7 @@ class Run:
     """When, as local date and time."""
     preset: PresetName = "default"
     config: RegistrationConfig | None = None
-    """What it was told."""
+    """Its settings."""
     photo_names: tuple[str, ...] = ()
     start: tuple[Camera, ...] = ()
     cameras: tuple[Camera, ...] = ()
@@ -110,7 +110,7 @@ class Run:
 
     @property
     def settings_name(self) -> str:
-        """What it was told, in a word or two."""
+        """Its settings, in a word or two."""
         name = PRESET_NAMES[self.preset]
         return f"{name}, changed" if self.is_changed else name
 

@@ -317,7 +317,7 @@ class WaitingProject:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Notice:
-    """What everybody who looks at the page is told, once."""
+    """A notification shown once to everybody on the page."""
 
     title: str
     sentence: str
@@ -403,7 +403,7 @@ class State:
     note: str = ""
     """The last thing that happened, for the status line."""
     notice: Notice | None = None
-    """The last thing that all were told."""
+    """The last notification."""
     project: Path | None = None
     """The folder that the work is kept in; None: it is not kept."""
     read_only: str = ""
@@ -492,7 +492,7 @@ class State:
 
     @property
     def settings(self) -> RegistrationConfig:
-        """What the next run is told."""
+        """The settings of the next run."""
         return self.config or RegistrationConfig.preset(self.preset)
 
     @property
