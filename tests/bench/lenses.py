@@ -3,18 +3,32 @@
 import dataclasses
 from collections.abc import Iterator, Sequence
 
+import cv2
 import numpy as np
 
+from photoreg.geometry.camera import Camera
+from photoreg.geometry.lens import Lens
+from photoreg.imaging.photo import Photo
+from photoreg.imaging.undistort import undistorted_photo
 from photoreg.parameters.freedom import Freedom
 from photoreg.registration.config import RegistrationConfig
+from photoreg.registration.refinement import refine
+from photoreg.synthetic.options import SceneOptions
+from photoreg.synthetic.scene import make_scene
+from photoreg.texture.bake import bake_texture
+from tests.bench.accuracy import load_set
 from tests.bench.metrics import Metric, Setting, bench, spread
-from tests.bench.outcomes import Outcome, error_figures, run_world, time_figures
+from tests.bench.outcomes import Outcome, error_figures, run, run_world, time_figures
 from tests.bench.worlds import World, world
+from tests.texture.third_view import likeness, third_camera
 
 PHONE_FOCAL_SHARE = 0.78
 """Focal length of a phone over its photo's width."""
 
 SOLVING = dataclasses.replace(RegistrationConfig(), distortion="auto")
+
+PHONE_TERMS = (0.07, -0.1, 0.001, -0.001, 0.0)
+"""k1, k2, p1, p2, k3 as of a phone: the middle of what ``_through_phones`` draws."""
 
 FIRST_SEED = 100
 
@@ -92,6 +106,83 @@ def lens_price(setting: Setting) -> Iterator[Metric]:
             for made in scenes(setting.n, "clean")
         ]
         yield from spread(f"lens_price.{name}", ratios, "x", 1.15, tolerance=0.1)
+
+
+@bench
+def lens_known(setting: Setting) -> Iterator[Metric]:
+    """A lens that a camera file tells, kept: against the photos undistorted before."""
+    held = dataclasses.replace(SOLVING, distortion="none")
+    losses = []
+    for made in _through_k1(setting.n, "clean"):
+        lenses = [camera.lens for camera in made.cameras]
+        start = map(Camera.with_lens, made.rough_cameras, lenses)
+        kept = dataclasses.replace(made, rough_cameras=tuple(start))
+        undistorted = dataclasses.replace(
+            made,
+            photos=tuple(map(undistorted_photo, made.photos, made.cameras)),
+            cameras=tuple(camera.pinhole for camera in made.cameras),
+        )
+        ends = [run_world(one, held).end_px for one in (kept, undistorted)]
+        losses.append(ends[0] - ends[1])
+    yield from spread("lens_known.loss", losses, "px", 0.05)
+
+
+@bench
+def lens_texture(setting: Setting) -> Iterator[Metric]:
+    """What a lens costs the texture: PSNR from a third view, against ideal photos."""
+    losses = []
+    for seed in range(FIRST_SEED, FIRST_SEED + setting.n):
+        ideal = SceneOptions(kind="clean", seed=seed, focal_share=PHONE_FOCAL_SHARE)
+        found = []
+        for options in (ideal, dataclasses.replace(ideal, distortion=PHONE_TERMS)):
+            scene = make_scene(options)
+            *_, last = refine(scene.mesh, scene.photos, scene.rough_cameras, SOLVING)
+            view = third_camera(scene, 0.5).pinhole
+            baked = bake_texture(scene.mesh, scene.photos, last.cameras)
+            found.append(likeness(baked, view, scene.render(view)).psnr_db)
+        losses.append(found[0] - found[1])
+    yield from spread("lens_texture.loss", losses, "dB", 0.3)
+
+
+@bench
+def lens_real(setting: Setting) -> Iterator[Metric]:
+    """Photos of sets distorted by a lens that nobody tells, against the photos as they are."""
+    if setting.data is None:
+        return
+    for name in ("fountain", "granite"):
+        folder = setting.data / name
+        losses, ends = [], []
+        for path in sorted((folder / "starts").glob("*-easy-*.json"))[: setting.n]:
+            mesh, photos, true, start = load_set(folder, path, folder / "photos")
+            lens = Lens(*PHONE_TERMS)
+            bent = [camera.with_lens(lens) for camera in true]
+            distorted = list(map(_distorted_photo, photos, bent))
+            plain = run(mesh, photos, true, start, SOLVING).end_px
+            ends.append(run(mesh, distorted, bent, start, SOLVING).end_px)
+            losses.append(ends[-1] - plain)
+        note = f"ends {', '.join(f'{px:.2f}' for px in ends)} px"
+        yield from spread(f"lens_real.{name}.loss", losses, "px", 0.1, note=note)
+
+
+def _distorted_photo(photo: Photo, camera: Camera) -> Photo:
+    """The photo of an ideal lens as ``camera``'s lens would have taken it."""
+    K, lens = camera.K, camera.lens
+    y, x = np.mgrid[: photo.height, : photo.width].astype(np.float64)
+    # OpenCV 4 iterates often enough only in a function of its own.
+    undistort = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
+    places = undistort(
+        np.stack([x.ravel(), y.ravel()], axis=1)[:, None],
+        K,
+        np.array([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3]),
+        R=np.eye(3),
+        P=K,
+        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9),
+    ).reshape(photo.height, photo.width, 2)
+    columns, rows = np.moveaxis(places.astype(np.float32), 2, 0)
+    pixels = cv2.remap(photo.pixels, columns, rows, cv2.INTER_CUBIC)
+    shown = np.ones(pixels.shape[:2], np.uint8)
+    mask = cv2.remap(shown, columns, rows, cv2.INTER_NEAREST) > 0
+    return dataclasses.replace(photo, pixels=pixels, mask=mask, source=None)
 
 
 @bench
