@@ -90,4 +90,8 @@ def _enter(
     sys.excepthook = sys.__excepthook__
     os.environ.clear()  # It has that of the first of these processes.
     os.environ.update(environment)
+    if sys.platform == "linux":
+        # numba makes a lock for this method of starting processes. One for "forkserver"
+        # has a name in the system, which outlives a process that is ended.
+        multiprocessing.set_start_method("fork", force=True)
     target(connection, *arguments)

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from multiprocessing.connection import Connection
 
+import numba
 import pytest
 
 from app.engine.spawn import spawned
@@ -21,6 +22,21 @@ def connect_and_die(fds, connect=forkserver.connect_to_new_process):
 forkserver.connect_to_new_process = connect_and_die
 spawned(print)
 """
+
+ENDED = """
+from app.engine.spawn import end, spawned
+from tests.app.engine.test_spawn import compute
+
+process, connection = spawned(compute)
+assert connection.recv() == "computing"
+end(process)
+"""
+
+
+def compute(connection: Connection) -> None:
+    numba.get_num_threads()  # Starts numba's threads.
+    connection.send("computing")
+    connection.recv()
 
 
 def tell(connection: Connection, name: str) -> None:
@@ -53,3 +69,12 @@ def test_an_app_that_is_killed_while_it_starts_a_process_leaves_no_traceback() -
     )
     assert done.returncode < 0
     assert "Traceback" not in done.stderr
+
+
+def test_a_process_that_is_ended_while_it_computes_leaves_nothing_and_no_warning() -> (
+    None
+):
+    done = subprocess.run(
+        [sys.executable, "-c", ENDED], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
