@@ -1,4 +1,4 @@
-"""Pictures and scripts that the page fetches: photos whole and in tiles, masks.
+"""Pictures, scripts and the stylesheet that the page fetches: photos whole and in tiles, masks.
 
 The picker shows a reduced photo, and full-resolution tiles of what is zoomed into; so
 a photo of 50 megapixels costs what is looked at.
@@ -33,7 +33,8 @@ MASK_COLOUR = (255, 70, 70)
 Answer = tuple[str, bytes]
 """Content type and body."""
 
-_SCRIPT = re.compile(r"/photoreg/([a-z]+)\.(js|css)")
+_STATIC_TYPES = {"js": "text/javascript", "css": "text/css"}
+_STATIC = re.compile(rf"/photoreg/([a-z]+)\.({'|'.join(_STATIC_TYPES)})")
 _WHOLE = re.compile(r"/photoreg/photo/([0-9]+)/([a-z]+)\.jpg")
 _TILE = re.compile(r"/photoreg/photo/([0-9]+)/([0-9]{1,4})/([0-9]{1,4})\.jpg")
 _MASK = re.compile(r"/photoreg/mask/([0-9]+)\.png")
@@ -91,9 +92,9 @@ class PhotoServer:
 
     def find(self, path: str) -> Answer | None:
         """The same at once."""
-        if match := _SCRIPT.fullmatch(path):
+        if match := _STATIC.fullmatch(path):
             file = static_folder() / f"{match[1]}.{match[2]}"
-            kind = {"js": "text/javascript", "css": "text/css"}[match[2]]
+            kind = _STATIC_TYPES[match[2]]
             return (kind, file.read_bytes()) if file.is_file() else None
         if match := _WHOLE.fullmatch(path):
             return self._whole(match[1], match[2])

@@ -137,7 +137,7 @@ def lens_texture(setting: Setting) -> Iterator[Metric]:
         for options in (ideal, dataclasses.replace(ideal, distortion=PHONE_TERMS)):
             scene = make_scene(options)
             *_, last = refine(scene.mesh, scene.photos, scene.rough_cameras, SOLVING)
-            view = third_camera(scene, 0.5).pinhole
+            view = third_camera(scene, 0.5)
             baked = bake_texture(scene.mesh, scene.photos, last.cameras)
             found.append(likeness(baked, view, scene.render(view)).psnr_db)
         losses.append(found[0] - found[1])
